@@ -10,6 +10,7 @@ from samples.maps import occupancy, repeated
 from samples.plaza import Plaza
 
 from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, geometry
+from segloc.cli.options import parsed_prior
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 AWAY = np.array([300.0, 40.0, 0.0])
@@ -77,10 +78,30 @@ def test_stages_that_compare_clouds_keep_to_the_prior(plaza: Plaza, twice: Segme
     [
         5.0, (1.0, 2.0, 3.0), ((1.0,), 5.0), (("a", "b"), 5.0), ((1.0, np.nan), 5.0),
         ((1.0, 1e300), 5.0), ((0.0, 0.0), 0.0), ((0.0, 0.0), -1.0), ((0.0, 0.0), np.inf),
-        ((0.0, 0.0), "wide"), "here",
+        ((0.0, 0.0), "wide"), "here", ((0.0, 0.0), 5.0, "north"), ((0.0, 0.0), 5.0, np.nan),
+        ((0.0, 0.0), 5.0, 1.0, 2.0),
     ],
 )  # fmt: skip
 def test_what_is_no_prior_is_refused(near: Any) -> None:
     with pytest.raises(ConfigError, match="prior") as caught:
         Prior.of(near)
     assert "\n" not in str(caught.value)
+
+
+def test_a_heading_excludes_poses_that_face_elsewhere(plaza: Plaza, once: SegmentMap) -> None:
+    localizer = Localizer(once, GEO)
+    scan, truth = plaza.scan(TRUE, posed=False, seed=77), np.degrees(geometry.heading(TRUE))
+    for turn, found in ((-30.0, True), (360.0, True), (180.0, False)):
+        near = (TRUE[:2, 3], 10.0, truth + turn)
+        result = localizer.localize(scan, near=near)
+        assert result.localized is found
+    assert result.reason is Reason.NOT_NEAR_PRIOR and "heading" in result.message
+    for text, position, heading in (
+        ("1,2", [1, 2], None), ("1,2,3", [1, 2, 3], None), ("1,2,3,90", [1, 2, 3], 90.0),
+        ("1,2,,-90", [1, 2], -90.0),
+    ):  # fmt: skip
+        prior = parsed_prior(text, 5.0, False)
+        assert np.array_equal(prior.position, position) and prior.heading_deg == heading
+    for text in ("1", "1,2,3,4,5", "1,b", "1,2,3,north"):
+        with pytest.raises(ConfigError, match="--near expects"):
+            parsed_prior(text, 5.0, False)

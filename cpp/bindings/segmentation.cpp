@@ -1,10 +1,10 @@
 // Voxel grid, ground and clusters.
 #include "bindings/bindings.h"
+#include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
-#include "frontend/planes.h"
+#include "frontend/gravity.h"
 #include "frontend/spacing.h"
-#include "frontend/voxel.h"
 
 namespace segloc::bindings {
 namespace {
@@ -53,39 +53,81 @@ auto euclidean_clusters_(const In2<float>& points, double radius, std::size_t mi
                          to_numpy(std::move(clusters.offsets)));
 }
 
-auto clusters_above_(const In2<float>& points, const In1<float>& heights,
-                     const std::vector<double>& cuts, double radius, std::size_t min_points,
-                     std::size_t max_points) {
-  require_points(points);
+void require_heights(const In1<float>& heights, const In2<float>& points) {
   require(heights.size() == points.shape(0), "heights must have a value for each point");
+}
+
+nb::tuple split_by_height_(const In2<float>& points, const In1<float>& heights, double cut) {
+  require_points(points);
+  require_heights(heights, points);
+  std::vector<float> above, below;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    require_usable(heights.data(), heights.size(), "heights");
+    split_by_height(points.data(), heights.data(), points.shape(0), cut, above, below);
+  }
+  const std::size_t high = above.size() / 3, low = below.size() / 3;
+  return nb::make_tuple(to_numpy(std::move(above), {high, 3}), to_numpy(std::move(below), {low, 3}));
+}
+
+nb::tuple segments_above_(const In2<float>& points, const In1<float>& heights,
+                          const std::vector<double>& cuts, double radius, std::size_t min_points,
+                          std::size_t max_points) {
+  require_points(points);
+  require_heights(heights, points);
   require(!cuts.empty() && cuts.size() <= kMostCuts, "there must be from 1 to 255 cuts");
   require_usable(cuts.data(), cuts.size(), "cuts");
   require_length(radius, "radius");
   Clusters clusters;
+  Segments found;
   {
     nb::gil_scoped_release release;
     require_usable(points.data(), points.size(), "points");
     require_usable(heights.data(), heights.size(), "heights");
     clusters = clusters_above(points.data(), heights.data(), points.shape(0), cuts, radius,
                               min_points, max_points);
+    found = segments_of(clusters, points.data(), heights.data());
   }
-  return std::make_tuple(to_numpy(std::move(clusters.points)),
-                         to_numpy(std::move(clusters.offsets)));
+  const std::size_t members = clusters.points.size(), count = clusters.offsets.size() - 1;
+  return nb::make_tuple(to_numpy(std::move(found.points), {members, 3}),
+                        to_numpy(std::move(clusters.offsets)),
+                        to_numpy(std::move(found.centroids), {count, 3}),
+                        to_numpy(std::move(found.heights)));
 }
 
-Out<float> plane_normals_(const In2<float>& points, double radius, std::size_t min_points,
-                          double thickness, std::size_t most) {
+Out<float> flat_normals_(const In2<float>& points, double range, double voxel_size, double radius,
+                         std::size_t min_points, double thickness, std::size_t most) {
   require_points(points);
+  require_length(range, "range");
+  require_length(voxel_size, "voxel_size");
   require_length(radius, "radius");
   require_length(thickness, "thickness");
   std::vector<float> normals;
   {
     nb::gil_scoped_release release;
     require_usable(points.data(), points.size(), "points");
-    normals = plane_normals(points.data(), points.shape(0), {radius, min_points, thickness, most});
+    normals = flat_normals(points.data(), points.shape(0),
+                           {range, voxel_size, {radius, min_points, thickness, most}});
   }
   const std::size_t count = normals.size() / 3;
   return to_numpy(std::move(normals), {count, 3});
+}
+
+Out<double> fit_vertical_(const In2<float>& normals, const In2<double>& directions,
+                          const std::vector<double>& tolerances) {
+  require_points(normals, "normals");
+  require(directions.shape(1) == 3 && directions.shape(0) > 0, "directions must have shape (D, 3)");
+  require_usable(normals.data(), normals.size(), "normals");
+  require_usable(directions.data(), directions.size(), "directions");
+  require_usable(tolerances.data(), tolerances.size(), "tolerances");
+  std::array<double, 3> up;
+  {
+    nb::gil_scoped_release release;
+    up = fit_vertical(normals.data(), normals.shape(0), directions.data(), directions.shape(0),
+                      tolerances);
+  }
+  return to_numpy(std::vector<double>(up.begin(), up.end()));
 }
 
 double point_spacing_(const In2<float>& points, double least, std::size_t most) {
@@ -104,11 +146,16 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));
   m.def("euclidean_clusters", &euclidean_clusters_, nb::arg("points").noconvert(),
         nb::arg("radius"), nb::arg("min_points"), nb::arg("max_points"));
-  m.def("clusters_above", &clusters_above_, nb::arg("points").noconvert(),
+  m.def("split_by_height", &split_by_height_, nb::arg("points").noconvert(),
+        nb::arg("heights").noconvert(), nb::arg("cut"));
+  m.def("segments_above", &segments_above_, nb::arg("points").noconvert(),
         nb::arg("heights").noconvert(), nb::arg("cuts"), nb::arg("radius"), nb::arg("min_points"),
         nb::arg("max_points"));
-  m.def("plane_normals", &plane_normals_, nb::arg("points").noconvert(), nb::arg("radius"),
-        nb::arg("min_points"), nb::arg("thickness"), nb::arg("most"));
+  m.def("flat_normals", &flat_normals_, nb::arg("points").noconvert(), nb::arg("range"),
+        nb::arg("voxel_size"), nb::arg("radius"), nb::arg("min_points"), nb::arg("thickness"),
+        nb::arg("most"));
+  m.def("fit_vertical", &fit_vertical_, nb::arg("normals").noconvert(),
+        nb::arg("directions").noconvert(), nb::arg("tolerances"));
   m.def("point_spacing", &point_spacing_, nb::arg("points").noconvert(), nb::arg("least"),
         nb::arg("most"));
 }

@@ -25,6 +25,8 @@ constexpr int kMostThreads = 256;
 // long, and on a busy machine a thousand times that.
 constexpr std::chrono::microseconds kWatched{50};
 
+using Clock = std::chrono::steady_clock;
+
 // One call of parallel_for: workers take chunks from `next` until none is left.
 struct Job {
   const std::function<void(std::size_t, std::size_t, int)>* body;
@@ -36,23 +38,24 @@ struct Job {
   std::exception_ptr error;
   std::mutex error_mutex;
 
-  // Takes one chunk; false where none is left.
-  bool step(int worker) {
+  // Takes one chunk: how many items it was; 0 where none is left.
+  std::size_t step(int worker) {
     const std::size_t begin = next.fetch_add(grain);
-    if (begin >= count) return false;
+    if (begin >= count) return 0;
+    const std::size_t end = std::min(begin + grain, count);
     try {
-      (*body)(begin, std::min(begin + grain, count), worker);
+      (*body)(begin, end, worker);
     } catch (...) {
       const std::lock_guard<std::mutex> lock(error_mutex);
       if (!error) error = std::current_exception();
       next.store(count);
     }
-    return true;
+    return end - begin;
   }
   // A helper that has come too late is not waited for: it finds no chunk and leaves.
   bool help(int worker) {
     ++busy;
-    const bool taken = step(worker);
+    const bool taken = step(worker) > 0;
     --busy;
     return taken;
   }
@@ -60,22 +63,57 @@ struct Job {
   bool done() const { return busy.load() == 0; }
 };
 
+// Whether helpers are worth calling. On a busy machine one may be stopped within its chunk, and the
+// caller then waits for it longer than the chunk would have taken: callers work alone for a while,
+// each time twice as long, until helpers are seen to help.
+class Usefulness {
+ public:
+  bool is_doubtful() const { return Clock::now().time_since_epoch().count() < alone_until_.load(); }
+
+  // What a call took, of which the caller did `own` of `all` items in `worked`.
+  void see(std::size_t own, std::size_t all, Clock::duration worked, Clock::duration elapsed) {
+    if (elapsed < kShort || own == 0) return;
+    const double alone = double(worked.count()) * double(all) / double(own);
+    const Clock::rep pause = pause_.load();
+    if (double(elapsed.count()) < kHelpful * alone) {
+      pause_.store(std::max(pause / 2, kShortest));
+      return;
+    }
+    alone_until_.store(Clock::now().time_since_epoch().count() + pause);
+    pause_.store(std::min(2 * pause, kLongest));
+  }
+
+ private:
+  static constexpr double kHelpful = 0.9;  // of the time that the caller would take alone
+  static constexpr Clock::duration kShort = std::chrono::microseconds(200);
+  static constexpr Clock::rep kShortest = Clock::duration(std::chrono::milliseconds(20)).count(),
+                              kLongest = Clock::duration(std::chrono::milliseconds(640)).count();
+
+  std::atomic<Clock::rep> alone_until_{0}, pause_{kShortest};
+};
+
 class Pool {
  public:
   static Pool& instance();
 
+  bool is_doubtful() const { return usefulness_.is_doubtful(); }
+
   void execute(const std::shared_ptr<Job>& job, int helpers) {
+    const Clock::time_point start = Clock::now();
     call(job, helpers);
     for (int i = 0; i < helpers; ++i) wake_.notify_one();
-    while (job->step(0)) {
+    std::size_t own = 0;
+    while (const std::size_t items = job->step(0)) own += items;
+    const Clock::time_point worked = Clock::now();
+    while (!job->done() && Clock::now() < worked + kWatched) {
     }
-    const auto limit = std::chrono::steady_clock::now() + kWatched;
-    while (!job->done() && std::chrono::steady_clock::now() < limit) {
+    {
+      std::unique_lock<std::mutex> lock(mutex_);
+      // Tickets that nobody took are withdrawn, so a busy pool never delays a finished job.
+      queue_.erase(std::remove(queue_.begin(), queue_.end(), job), queue_.end());
+      done_.wait(lock, [&] { return job->done(); });
     }
-    std::unique_lock<std::mutex> lock(mutex_);
-    // Tickets that nobody took are withdrawn, so a busy pool never delays a finished job.
-    queue_.erase(std::remove(queue_.begin(), queue_.end(), job), queue_.end());
-    done_.wait(lock, [&] { return job->done(); });
+    usefulness_.see(own, job->count, worked - start, Clock::now() - start);
   }
 
  private:
@@ -107,6 +145,7 @@ class Pool {
     }
   }
 
+  Usefulness usefulness_;
   std::mutex mutex_;
   std::condition_variable wake_, done_;
   std::deque<std::shared_ptr<Job>> queue_;
@@ -146,8 +185,8 @@ void parallel_for(std::size_t count, std::size_t grain, int threads,
   job->body = &body;
   job->count = count;
   job->grain = grain;
-  if (workers <= 1) {
-    while (job->step(0)) {
+  if (workers <= 1 || Pool::instance().is_doubtful()) {
+    while (job->step(0) > 0) {
     }
   } else {
     Pool::instance().execute(job, workers - 1);

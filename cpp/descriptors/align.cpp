@@ -49,7 +49,7 @@ void align_2d(std::vector<float>& p, std::size_t n) {
 }
 
 void align_3d(std::vector<float>& p, std::size_t n) {
-  Mat3 axes = principal_axes(covariance_of(p.data(), n)).axes;
+  Mat3 axes = eigen_axes(covariance_of(p.data(), n)).axes;
   const auto& [x, y, z] = axes;
   const double volume = x[0] * (y[1] * z[2] - y[2] * z[1]) - x[1] * (y[0] * z[2] - y[2] * z[0]) +
                         x[2] * (y[0] * z[1] - y[1] * z[0]);

@@ -20,7 +20,7 @@ void farthest_points(const float* points, std::size_t clouds, std::size_t n, std
       FpsCloud together[kTogether];
       for (std::size_t c = 0; c < count; ++c) {
         float* x = scratch.data() + c * size;
-        together[c] = {x, order + (first + c) * samples};
+        together[c] = {x, order + (first + c) * samples, n, samples};
         const float* p = points + (first + c) * n * 3;
         for (std::size_t i = 0; i < n; ++i) {
           x[i] = p[3 * i];
@@ -28,7 +28,7 @@ void farthest_points(const float* points, std::size_t clouds, std::size_t n, std
           x[i + 2 * stride] = p[3 * i + 2];
         }
       }
-      k.fps(together, count, n, samples);
+      k.fps(together, count, fps_groups(n));
     }
   });
 }

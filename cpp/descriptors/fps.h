@@ -10,7 +10,7 @@ namespace segloc {
 
 // Floats of scratch memory for a cloud of n points.
 constexpr std::size_t fps_scratch_size(std::size_t n) {
-  return 4 * padded(n, kFpsGroup) + fps_group_max_size(n);
+  return 4 * padded(n, kFpsGroup) + fps_group_max_size(fps_groups(n));
 }
 
 // order (clouds, samples): for each of the clouds (clouds, n, 3), indices in the order in which

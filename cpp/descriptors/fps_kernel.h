@@ -23,17 +23,17 @@ inline size_t first_equal(const float* values, Vec target) {
   }
 }
 
-inline void reset(float* distance, size_t n) {
+inline void reset(float* distance, size_t n, size_t groups) {
   for (size_t i = 0; i < n; ++i) distance[i] = kFar;
-  for (size_t i = n; i < padded(n, kFpsGroup); ++i) distance[i] = -1.0f;
+  for (size_t i = n; i < groups * kFpsGroup; ++i) distance[i] = -1.0f;
 }
 
 // Nothing is in the set yet. `distance` has those of the points and then those of the groups.
 inline void clear_set(float* distance, size_t n, size_t groups) {
-  reset(distance, n);
+  reset(distance, n, groups);
   // Groups of padding, so that first_equal can look at whole blocks.
   float* group_max = distance + groups * kFpsGroup;
-  for (size_t i = groups * kWidth; i < fps_group_max_size(n); ++i) group_max[i] = -1.0f;
+  for (size_t i = groups * kWidth; i < fps_group_max_size(groups); ++i) group_max[i] = -1.0f;
 }
 
 // The sum is in double and in a fixed order, so that every instruction set finds the same mean. Its
@@ -63,14 +63,17 @@ inline void fill_rest(float* distance, int32_t* order, size_t n, size_t chosen, 
 // `Groups` is the number of groups of 64 points where it is known beforehand, otherwise 0: constant
 // offsets leave the registers to the clouds.
 template <size_t Clouds, size_t Groups>
-inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
-  const size_t groups = Groups ? Groups : padded(n, kFpsGroup) / kFpsGroup;
+inline void sample(const FpsCloud* clouds, size_t most) {
+  const size_t groups = Groups ? Groups : most;
   const size_t stride = groups * kFpsGroup;
   float* x[Clouds];  // copies: a vector store could alias the pointers otherwise
   Vec cx[Clouds], cy[Clouds], cz[Clouds];
-  bool exhausted[Clouds] = {};
+  size_t left[Clouds], samples = 0;  // still to be chosen of each, and at most
   SEGLOC_UNROLL
   for (size_t k = 0; k < Clouds; ++k) {
+    const size_t n = clouds[k].n;
+    left[k] = clouds[k].samples;
+    samples = left[k] > samples ? left[k] : samples;
     x[k] = clouds[k].memory;
     cx[k] = broadcast(mean(x[k], n));
     cy[k] = broadcast(mean(x[k] + stride, n));
@@ -102,12 +105,13 @@ inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
     }
     SEGLOC_UNROLL
     for (size_t k = 0; k < Clouds; ++k) {
-      if (exhausted[k]) continue;
+      if (left[k] == 0) continue;
+      --left[k];
       const float farthest = reduce_max(best[k]);
       float* distance = x[k] + 3 * stride;
       if (!(farthest > 0.0f)) {
-        fill_rest(distance, clouds[k].order, n, s, samples);
-        exhausted[k] = true;
+        fill_rest(distance, clouds[k].order, clouds[k].n, s, clouds[k].samples);
+        left[k] = 0;
         continue;
       }
       const Vec target = broadcast(farthest);
@@ -117,23 +121,131 @@ inline void sample(const FpsCloud* clouds, size_t n, size_t samples) {
       cx[k] = broadcast(x[k][i]);
       cy[k] = broadcast(x[k][i + stride]);
       cz[k] = broadcast(x[k][i + 2 * stride]);
-      if (s == 0) reset(distance, n);  // the centroid is no member of the set
+      if (s == 0) reset(distance, clouds[k].n, groups);  // the centroid is no member of the set
+    }
+  }
+}
+
+// Groups of 64 points with their boxes: what is farther from a box than the points in it are from
+// the set changes none of them. Points near each other in the input mostly share a group.
+class Boxes {
+ public:
+  // `memory` has 7 values a group, padded to 64 each.
+  Boxes(const float* x, size_t n, size_t groups, float* memory)
+      : groups_(groups), padded_(padded(groups, 64)), farthest_(memory) {
+    for (size_t g = 0; g < padded_; ++g) farthest_[g] = g < groups ? kFar : -1.0f;
+    for (size_t d = 0; d < 3; ++d) {
+      const float* values = x + d * groups * kFpsGroup;
+      for (size_t g = 0; g < padded_; ++g) {
+        float low = kFar, high = -kFar;
+        const size_t end = (g + 1) * kFpsGroup < n ? (g + 1) * kFpsGroup : n;
+        for (size_t i = g * kFpsGroup; i < end; ++i) {
+          low = values[i] < low ? values[i] : low;
+          high = values[i] > high ? values[i] : high;
+        }
+        side(2 * d)[g] = low;
+        side(2 * d + 1)[g] = high;
+      }
+    }
+  }
+
+  // Calls update(group) for the groups that a point may be nearer to than the set is.
+  template <typename Update>
+  void each_near(const float* place, Update&& update) {
+    const Vec zero = broadcast(0.0f), margin = broadcast(1.0f - 1e-5f);  // for rounding
+    for (size_t first = 0; first < groups_; first += kWidth) {
+      Vec squared = zero;
+      for (size_t d = 0; d < 3; ++d) {
+        const Vec at = broadcast(place[d]);
+        const Vec low = load(side(2 * d) + first) - at, high = at - load(side(2 * d + 1) + first);
+        const Vec gap = max(max(low, high), zero);
+        squared = squared + gap * gap;
+      }
+      uint32_t hits = less_equal(squared * margin, load(farthest_ + first));
+      for (; hits != 0; hits &= hits - 1) {
+        const size_t g = first + lowest_bit(hits);
+        if (g < groups_) farthest_[g] = update(g);
+      }
+    }
+  }
+
+  float farthest() const {
+    Vec most = load(farthest_);
+    for (size_t g = kWidth; g < padded_; g += kWidth) most = max(most, load(farthest_ + g));
+    return reduce_max(most);
+  }
+  // The first group that has a point so far away.
+  size_t first(float distance) const { return first_equal(farthest_, broadcast(distance)); }
+  void reset() {
+    for (size_t g = 0; g < groups_; ++g) farthest_[g] = kFar;
+  }
+
+ private:
+  float* side(size_t k) const { return farthest_ + (k + 1) * padded_; }
+
+  size_t groups_, padded_;
+  float* farthest_;  // distance to the set of the farthest point of each group
+};
+
+// Of a large cloud most points are far from the last one that was taken: only the groups near it
+// are looked at.
+void sample_large(const FpsCloud& cloud, size_t groups) {
+  const size_t n = cloud.n, stride = groups * kFpsGroup;
+  float* x = cloud.memory;
+  float* distance = x + 3 * stride;
+  Boxes boxes(x, n, groups, x + 4 * stride);
+  float place[3];
+  for (size_t d = 0; d < 3; ++d) place[d] = mean(x + d * stride, n);
+  reset(distance, n, groups);
+  for (size_t s = 0; s < cloud.samples; ++s) {
+    const Vec cx = broadcast(place[0]), cy = broadcast(place[1]), cz = broadcast(place[2]);
+    boxes.each_near(place, [&](size_t g) {
+      Vec most = broadcast(-1.0f);
+      SEGLOC_UNROLL
+      for (size_t v = 0; v < kFpsGroup; v += kWidth) {
+        float* p = x + g * kFpsGroup + v;
+        const Vec dx = cx - load(p), dy = cy - load(p + stride), dz = cz - load(p + 2 * stride);
+        const Vec d = min(dx * dx + dy * dy + dz * dz, load(p + 3 * stride));
+        store(p + 3 * stride, d);
+        most = max(most, d);
+      }
+      return reduce_max(most);
+    });
+    const float farthest = boxes.farthest();
+    if (!(farthest > 0.0f)) return fill_rest(distance, cloud.order, n, s, cloud.samples);
+    const size_t group = boxes.first(farthest) * kFpsGroup;
+    const size_t i = group + first_equal(distance + group, broadcast(farthest));
+    cloud.order[s] = static_cast<int32_t>(i);
+    for (size_t d = 0; d < 3; ++d) place[d] = x[i + d * stride];
+    if (s == 0) {  // the centroid is no member of the set
+      reset(distance, n, groups);
+      boxes.reset();
     }
   }
 }
 
 template <size_t Groups>
-void fps_of(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
+void fps_of(const FpsCloud* clouds, size_t count, size_t groups) {
   size_t i = 0;
-  for (; i + kLockstep <= count; i += kLockstep) {
-    sample<kLockstep, Groups>(clouds + i, n, samples);
-  }
-  for (; i < count; ++i) sample<1, Groups>(clouds + i, n, samples);
+  for (; i + kLockstep <= count; i += kLockstep) sample<kLockstep, Groups>(clouds + i, groups);
+  for (; i < count; ++i) sample<1, Groups>(clouds + i, groups);
 }
 
-void fps(const FpsCloud* clouds, size_t count, size_t n, size_t samples) {
-  if (padded(n, kFpsGroup) == 4 * kFpsGroup) return fps_of<4>(clouds, count, n, samples);
-  fps_of<0>(clouds, count, n, samples);
+void fps(const FpsCloud* clouds, size_t count, size_t groups) {
+  if (groups > kFpsFewGroups) {
+    for (size_t k = 0; k < count; ++k) sample_large(clouds[k], groups);
+    return;
+  }
+  switch (groups) {
+    case 1:
+      return fps_of<1>(clouds, count, groups);
+    case 2:
+      return fps_of<2>(clouds, count, groups);
+    case 4:
+      return fps_of<4>(clouds, count, groups);
+    default:
+      return fps_of<0>(clouds, count, groups);
+  }
 }
 
 }  // namespace

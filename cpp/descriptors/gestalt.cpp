@@ -81,7 +81,7 @@ void write_bins(const Bins& bins, double scale, float* output) {
 }
 
 void write_shape(const Mat3& covariance, float* output) {
-  const Vec3 values = principal_axes(covariance).values;
+  const Vec3 values = eigen_axes(covariance).values;
   const double sum = values[0] + values[1] + values[2];
   if (sum <= 0) return;
   output[0] = static_cast<float>(2 * (values[1] - values[2]) / sum);

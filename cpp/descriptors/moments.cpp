@@ -15,9 +15,14 @@ double fixed_point_scale(double largest, std::size_t n, int order) {
 }
 
 double largest_magnitude(const float* values, std::size_t count) {
-  float largest = 0;
-  for (std::size_t i = 0; i < count; ++i) largest = std::max(largest, std::abs(values[i]));
-  return largest;
+  constexpr std::size_t kLanes = 16;  // becomes vector instructions
+  float lanes[kLanes] = {};
+  std::size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) {
+    for (std::size_t k = 0; k < kLanes; ++k) lanes[k] = std::max(lanes[k], std::abs(values[i + k]));
+  }
+  for (; i < count; ++i) lanes[0] = std::max(lanes[0], std::abs(values[i]));
+  return *std::max_element(lanes, lanes + kLanes);
 }
 
 Vec3 mean_of(const float* p, std::size_t n) {
@@ -64,42 +69,6 @@ Mat3 covariance_of(const float* p, std::size_t n) {
   return result;
 }
 
-PrincipalAxes principal_axes(Mat3 a) {
-  Mat3 v = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};  // rows
-  for (int sweep = 0; sweep < 32; ++sweep) {
-    const double off = std::abs(a[0][1]) + std::abs(a[0][2]) + std::abs(a[1][2]);
-    if (off <= 1e-15 * (a[0][0] + a[1][1] + a[2][2])) break;
-    for (std::size_t p = 0; p < 2; ++p) {
-      for (std::size_t q = p + 1; q < 3; ++q) {
-        if (a[p][q] == 0) continue;
-        const double angle = 0.5 * std::atan2(2 * a[p][q], a[q][q] - a[p][p]);
-        const double c = std::cos(angle), s = std::sin(angle);
-        for (std::size_t i = 0; i < 3; ++i) {
-          const double x = a[i][p], y = a[i][q];
-          a[i][p] = c * x - s * y;
-          a[i][q] = s * x + c * y;
-        }
-        for (std::size_t i = 0; i < 3; ++i) {
-          const double x = a[p][i], y = a[q][i], vx = v[p][i], vy = v[q][i];
-          a[p][i] = c * x - s * y;
-          a[q][i] = s * x + c * y;
-          v[p][i] = c * vx - s * vy;
-          v[q][i] = s * vx + c * vy;
-        }
-      }
-    }
-  }
-  std::array<std::size_t, 3> order = {0, 1, 2};
-  std::stable_sort(order.begin(), order.end(),
-                   [&](std::size_t i, std::size_t j) { return a[i][i] > a[j][j]; });
-  PrincipalAxes result;
-  for (std::size_t d = 0; d < 3; ++d) {
-    result.axes[d] = v[order[d]];
-    result.values[d] = a[order[d]][order[d]];
-  }
-  return result;
-}
-
 double major_angle(const Mat3& covariance) {
   return 0.5 * std::atan2(2 * covariance[0][1], covariance[0][0] - covariance[1][1]);
 }
@@ -114,7 +83,7 @@ void segment_moments(const float* points, const int64_t* offsets, std::size_t se
       Vec3 mean = {0, 0, 0}, values = {0, 0, 0};
       if (n > 0) {
         mean = centre_points(p, n, centred);
-        values = principal_axes(covariance_of(centred.data(), n)).values;
+        values = eigen_axes(covariance_of(centred.data(), n)).values;
       }
       for (std::size_t d = 0; d < 3; ++d) {
         means[3 * s + d] = mean[d];

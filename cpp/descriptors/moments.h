@@ -1,21 +1,14 @@
-// Mean, covariance and principal axes of a segment. Sums are taken in fixed point, which is exact:
+// Mean and covariance of a segment. Sums are taken in fixed point, which is exact:
 // nothing depends on the order of the points.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
 
+#include "common/eigen_axes.h"
+
 namespace segloc {
-
-using Vec3 = std::array<double, 3>;
-using Mat3 = std::array<Vec3, 3>;
-
-struct PrincipalAxes {
-  Mat3 axes;    // rows are unit eigenvectors
-  Vec3 values;  // their eigenvalues, falling
-};
 
 // A power of two that turns values up to `largest` into integers whose `order`-th powers, summed
 // over n terms, stay within 62 bits.
@@ -32,9 +25,6 @@ Vec3 centre_points(const float* points, std::size_t n, std::vector<float>& centr
 
 // Of n > 0 points (n, 3) that are centred on their mean.
 Mat3 covariance_of(const float* centred, std::size_t n);
-
-// Of a symmetric matrix, by cyclic Jacobi rotations.
-PrincipalAxes principal_axes(Mat3 matrix);
 
 // Angle of the major axis in the xy plane.
 double major_angle(const Mat3& covariance);

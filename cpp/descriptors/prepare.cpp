@@ -26,6 +26,20 @@ uint64_t hash_point(const float* p) {
   return h;
 }
 
+constexpr std::size_t kTogether = 4;      // clouds whose points are chosen in lockstep
+constexpr std::size_t kSlot = padded(fps_scratch_size(kFpsFewGroups * kFpsGroup), 16);
+
+std::size_t kept_points(std::size_t n) { return std::min(n, kThinnedPoints); }
+
+// A segment, and where its points go.
+struct Task {
+  const float* points;
+  std::size_t n;
+  float* output;
+
+  std::size_t groups() const { return fps_groups(kept_points(n)); }
+};
+
 // Everything that one worker needs.
 class Preparer {
  public:
@@ -33,27 +47,34 @@ class Preparer {
       : count_(count),
         alignment_(alignment),
         kernels_(kernels),
-        scratch_(fps_scratch_size(kThinnedPoints)) {
-    order_.resize(count);
-  }
+        scratch_(std::max(fps_scratch_size(kThinnedPoints), kTogether * kSlot)),
+        order_(kTogether * count) {}
 
-  void prepare(const float* points, std::size_t n, float* output) {
-    if (n == 0) {
-      std::fill(output, output + 3 * count_, 0.0f);
-      return;
+  // Segments in the order of their falling size: those alike are sampled together.
+  void prepare(const Task* tasks, std::size_t count) {
+    for (std::size_t first = 0; first < count;) {
+      const std::size_t groups = tasks[first].groups();
+      const std::size_t together = groups > kFpsFewGroups ? 1 : std::min(kTogether, count - first);
+      FpsCloud clouds[kTogether];
+      for (std::size_t k = 0; k < together; ++k) clouds[k] = place(tasks[first + k], k, groups);
+      kernels_.fps(clouds, together, groups);
+      for (std::size_t k = 0; k < together; ++k) {
+        write(clouds[k], groups * kFpsGroup, tasks[first + k].output);
+      }
+      first += together;
     }
-    centre_points(points, n, cloud_);
-    if (alignment_ == Alignment::pca2d) align_2d(cloud_, n);
-    if (alignment_ == Alignment::pca3d) align_3d(cloud_, n);
-    sample(points, n, output);
   }
 
  private:
-  void sample(const float* points, std::size_t n, float* output) {
+  // The aligned points in the memory of cloud k.
+  FpsCloud place(const Task& task, std::size_t k, std::size_t groups) {
+    const float* points = task.points;
+    const std::size_t n = task.n, kept = kept_points(n), stride = groups * kFpsGroup;
+    float* x = scratch_.data() + k * kSlot;
+    centre_points(points, n, cloud_);
+    if (alignment_ == Alignment::pca2d) align_2d(cloud_, n);
+    if (alignment_ == Alignment::pca3d) align_3d(cloud_, n);
     const uint64_t limit = hash_limit(points, n);
-    const std::size_t kept = std::min(n, kThinnedPoints), stride = padded(kept, kFpsGroup);
-    const FpsCloud cloud = {scratch_.data(), order_.data()};
-    float* x = cloud.memory;
     for (std::size_t i = 0, next = 0; i < n && next < kept; ++i) {
       if (n > kThinnedPoints && hashes_[i] > limit) continue;
       for (std::size_t d = 0; d < 3; ++d) x[next + d * stride] = cloud_[3 * i + d];
@@ -62,11 +83,13 @@ class Preparer {
     for (std::size_t d = 0; d < 3; ++d) {
       std::fill(x + kept + d * stride, x + (d + 1) * stride, 0.0f);
     }
-    const std::size_t samples = std::min(kept, count_);
-    kernels_.fps(&cloud, 1, kept, samples);
+    return {x, order_.data() + k * count_, kept, std::min(kept, count_)};
+  }
+
+  void write(const FpsCloud& cloud, std::size_t stride, float* output) const {
     for (std::size_t s = 0; s < count_; ++s) {
-      const auto i = static_cast<std::size_t>(order_[s % samples]);
-      for (std::size_t d = 0; d < 3; ++d) output[3 * s + d] = x[i + d * stride];
+      const auto i = static_cast<std::size_t>(cloud.order[s % cloud.samples]);
+      for (std::size_t d = 0; d < 3; ++d) output[3 * s + d] = cloud.memory[i + d * stride];
     }
   }
 
@@ -94,12 +117,20 @@ class Preparer {
 void prepare_segments(const float* points, const int64_t* offsets, std::size_t segments,
                       std::size_t count, Alignment alignment, Isa isa, int threads, float* output) {
   const Kernels& k = kernels(isa);
-  parallel_for(segments, 8, threads, [&](std::size_t begin, std::size_t end, int) {
-    Preparer preparer(count, alignment, k);
-    for (std::size_t i = begin; i < end; ++i) {
-      const auto n = static_cast<std::size_t>(offsets[i + 1] - offsets[i]);
-      preparer.prepare(points + 3 * offsets[i], n, output + i * count * 3);
+  std::vector<Task> tasks;
+  tasks.reserve(segments);
+  for (std::size_t i = 0; i < segments; ++i) {
+    const auto n = static_cast<std::size_t>(offsets[i + 1] - offsets[i]);
+    float* out = output + i * count * 3;
+    if (n > 0) {
+      tasks.push_back({points + 3 * offsets[i], n, out});
+    } else {
+      std::fill(out, out + 3 * count, 0.0f);
     }
+  }
+  std::sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.n > b.n; });
+  parallel_for(tasks.size(), 8, threads, [&](std::size_t begin, std::size_t end, int) {
+    Preparer(count, alignment, k).prepare(tasks.data() + begin, end - begin);
   });
 }
 

@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "common/parallel.h"
+#include "common/portability.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -29,145 +31,88 @@ constexpr float kLeast = 0.05f;  // metres; shorter lengths are not told apart
 
 float log_length(float metres) { return std::log(std::max(metres, kLeast)); }
 
-struct Axis {
-  float low, high, mean, spread;
-};
-
-// A prepared segment, with the statistics of its coordinates.
-class Cloud {
- public:
-  Cloud(const float* points, std::size_t count, float height)
-      : p_(points), n_(count), height_(height) {
-    for (std::size_t d = 0; d < 3; ++d) axis_[d] = measure(d);
-  }
-
-  std::size_t size() const { return n_; }
-  float height() const { return height_; }
-  const Axis& axis(std::size_t d) const { return axis_[d]; }
-  float at(std::size_t i, std::size_t d) const { return p_[3 * i + d]; }
-  float centred(std::size_t i, std::size_t d) const { return at(i, d) - axis_[d].mean; }
-
-  // The slice of a point when an axis is cut into equal parts.
-  std::size_t slice(std::size_t i, std::size_t d, std::size_t slices) const {
-    const float span = std::max(axis_[d].high - axis_[d].low, kLeast);
-    const float share = (at(i, d) - axis_[d].low) / span;
-    return std::min(static_cast<std::size_t>(share * static_cast<float>(slices)), slices - 1);
-  }
-
- private:
-  Axis measure(std::size_t d) const {
-    float low = at(0, d), high = low;
-    double sum = 0, squares = 0;
-    for (std::size_t i = 0; i < n_; ++i) {
-      const float v = at(i, d);
-      low = std::min(low, v);
-      high = std::max(high, v);
-      sum += v;
-    }
-    const double mean = sum / static_cast<double>(n_);
-    for (std::size_t i = 0; i < n_; ++i) squares += (at(i, d) - mean) * (at(i, d) - mean);
-    return {low, high, static_cast<float>(mean),
-            static_cast<float>(std::sqrt(squares / static_cast<double>(n_)))};
-  }
-
-  const float* p_;
-  std::size_t n_;
-  float height_;
-  std::array<Axis, 3> axis_;
-};
-
-void write_size(const Cloud& cloud, float* out) {
-  for (std::size_t d = 0; d < 3; ++d) {
-    out[d] = log_length(cloud.axis(d).high - cloud.axis(d).low);
-    out[3 + d] = log_length(cloud.axis(d).spread);
-  }
-}
-
-// Moments of the points of one slice.
-struct Slice {
-  float count = 0, top = std::numeric_limits<float>::lowest();
-  std::array<float, 3> first = {}, second = {};
-
-  void add(const std::array<float, 3>& v) {
-    count += 1;
-    top = std::max(top, v[2]);
-    for (std::size_t d = 0; d < 3; ++d) {
-      first[d] += v[d];
-      second[d] += v[d] * v[d];
-    }
-  }
-  float mean(std::size_t d) const { return count > 0 ? first[d] / count : 0.0f; }
-  float spread(std::size_t d) const {
-    return count > 0 ? std::sqrt(std::max(second[d] / count - mean(d) * mean(d), 0.0f)) : 0.0f;
-  }
-};
-
-template <std::size_t Slices>
-std::array<Slice, Slices> sliced(const Cloud& cloud, std::size_t d) {
-  std::array<Slice, Slices> slices;
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const std::array<float, 3> v = {cloud.centred(i, 0), cloud.centred(i, 1), cloud.centred(i, 2)};
-    slices[cloud.slice(i, d, Slices)].add(v);
-  }
-  return slices;
-}
-
-void write_slices(const Cloud& cloud, float* out) {
-  const auto total = static_cast<float>(cloud.size());
-  for (const Slice& s : sliced<kLayers>(cloud, 2)) {
-    const std::array<float, 7> numbers = {
-        s.count / total,        s.mean(0),           s.mean(1),
-        std::abs(s.mean(0)),    std::abs(s.mean(1)), log_length(s.spread(0)),
-        log_length(s.spread(1))};
-    out = std::copy(numbers.begin(), numbers.end(), out);
-  }
-  for (const Slice& s : sliced<kSections>(cloud, 0)) {
-    const std::array<float, 6> numbers = {s.count / total, s.mean(1),   s.mean(2),
-                                          s.spread(1),     s.spread(2), s.count > 0 ? s.top : 0.0f};
-    out = std::copy(numbers.begin(), numbers.end(), out);
-  }
-}
-
-// As many lists as a vector has lanes are sorted side by side by a bitonic network, which takes
-// no branches: several times faster than sorting one after another.
-constexpr std::size_t kLanes = 16;
+// Segments are measured side by side, each in a lane: loops over lanes become vector instructions.
+constexpr std::size_t kLanes = kSortLanes;
 using Row = std::array<float, kLanes>;
 
-void exchange(Row& a, Row& b) {
-  for (std::size_t lane = 0; lane < kLanes; ++lane) {
-    const float low = std::min(a[lane], b[lane]), high = std::max(a[lane], b[lane]);
-    a[lane] = low;
-    b[lane] = high;
-  }
+template <typename Value>
+Row each_lane(Value&& value) {
+  Row row;
+  for (std::size_t lane = 0; lane < kLanes; ++lane) row[lane] = value(lane);
+  return row;
 }
 
-// `count`, a power of two, rows; each lane rises afterwards.
-void sort_lanes(Row* rows, std::size_t count) {
-  for (std::size_t run = 2; run <= count; run *= 2) {
-    for (std::size_t step = run / 2; step > 0; step /= 2) {
-      for (std::size_t i = 0; i < count; ++i) {
-        const std::size_t j = i ^ step;
-        if (j < i) continue;
-        if (i & run) {
-          exchange(rows[j], rows[i]);
-        } else {
-          exchange(rows[i], rows[j]);
-        }
+// Statistics of a coordinate.
+struct Axis {
+  Row low, high, mean, spread;
+
+  // Of `count` rows.
+  static Axis of(const Row* values, std::size_t count) {
+    Axis axis{values[0], values[0], {}, {}};
+    std::array<double, kLanes> sum = {}, squares = {};
+    for (std::size_t i = 0; i < count; ++i) {
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        axis.low[lane] = std::min(axis.low[lane], values[i][lane]);
+        axis.high[lane] = std::max(axis.high[lane], values[i][lane]);
+        sum[lane] += values[i][lane];
       }
     }
+    const auto n = static_cast<double>(count);
+    for (double& each : sum) each /= n;  // the means
+    for (std::size_t i = 0; i < count; ++i) {
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        const double off = values[i][lane] - sum[lane];
+        squares[lane] += off * off;
+      }
+    }
+    axis.mean = each_lane([&](std::size_t k) { return static_cast<float>(sum[k]); });
+    axis.spread =
+        each_lane([&](std::size_t k) { return static_cast<float>(std::sqrt(squares[k] / n)); });
+    return axis;
   }
-}
+};
+
+SEGLOC_VECTOR(float, Four, 16);
+
+// Moments of the points of one slice: their number and sums, and the sums of squares.
+struct Slice {
+  Four first = {0.0f, 0.0f, 0.0f, 0.0f}, second = first;
+  float top = std::numeric_limits<float>::lowest();
+
+  void add(float x, float y, float z) {
+    const Four each = {1.0f, x, y, z};
+    first += each;
+    second += each * each;
+    top = std::max(top, z);
+  }
+  float count() const { return first[0]; }
+  float mean(std::size_t d) const { return count() > 0 ? first[1 + d] / count() : 0.0f; }
+  float spread(std::size_t d) const {
+    if (!(count() > 0)) return 0.0f;
+    return std::sqrt(std::max(second[1 + d] / count() - mean(d) * mean(d), 0.0f));
+  }
+};
 
 // Up to kLanes segments at a time.
 class Batch {
  public:
-  Batch(const std::vector<Cloud>& clouds, float* output)
-      : clouds_(clouds), output_(output), rows_(kRows) {}
+  Batch(const Kernels& kernels, std::size_t count)
+      : kernels_(kernels), count_(count), rows_(kRows), xyz_(3 * count) {}
 
-  void write() {
-    for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
-      write_size(clouds_[lane], out(lane));
-      write_slices(clouds_[lane], out(lane) + kSlices);
+  void write(const float* prepared, const float* heights, std::size_t clouds, float* output) {
+    prepared_ = prepared, heights_ = heights, clouds_ = clouds, output_ = output;
+    for (std::size_t i = 0; i < count_; ++i) {
+      for (std::size_t d = 0; d < 3; ++d) {
+        Row& row = xyz_[d * count_ + i];
+        for (std::size_t lane = 0; lane < clouds; ++lane) {
+          row[lane] = prepared[3 * (count_ * lane + i) + d];
+        }
+      }
+    }
+    for (std::size_t d = 0; d < 3; ++d) axes_[d] = Axis::of(coordinate(d), count_);
+    for (std::size_t lane = 0; lane < clouds; ++lane) {
+      write_size(lane);
+      write_slices(lane);
     }
     write_quantiles();
     write_distances();
@@ -177,62 +122,119 @@ class Batch {
   static constexpr std::size_t kRows = 512;
   static_assert(kPairs <= kRows && kSorted <= kRows);
 
+  const Row* coordinate(std::size_t d) const { return xyz_.data() + d * count_; }
   float* out(std::size_t lane) const { return output_ + kSize * lane; }
 
-  // Evenly spaced order statistics of value(cloud, i) for i < count, mapped; `padded` is a power
-  // of two.
+  void write_size(std::size_t lane) const {
+    for (std::size_t d = 0; d < 3; ++d) {
+      out(lane)[d] = log_length(axes_[d].high[lane] - axes_[d].low[lane]);
+      out(lane)[3 + d] = log_length(axes_[d].spread[lane]);
+    }
+  }
+
+  // An axis is cut into equal parts.
+  template <std::size_t Slices>
+  std::array<Slice, Slices> sliced(std::size_t lane, std::size_t d) const {
+    std::array<Slice, Slices> slices;
+    const float low = axes_[d].low[lane], span = std::max(axes_[d].high[lane] - low, kLeast);
+    const float mean[3] = {axes_[0].mean[lane], axes_[1].mean[lane], axes_[2].mean[lane]};
+    const float* p = prepared_ + 3 * count_ * lane;
+    for (const float* end = p + 3 * count_; p < end; p += 3) {
+      const float share = (p[d] - low) / span;
+      const auto slice = static_cast<std::size_t>(share * static_cast<float>(Slices));
+      slices[std::min(slice, Slices - 1)].add(p[0] - mean[0], p[1] - mean[1], p[2] - mean[2]);
+    }
+    return slices;
+  }
+
+  void write_slices(std::size_t lane) const {
+    const auto total = static_cast<float>(count_);
+    float* to = out(lane) + kSlices;
+    for (const Slice& s : sliced<kLayers>(lane, 2)) {
+      const std::array<float, 7> numbers = {
+          s.count() / total,      s.mean(0),           s.mean(1),
+          std::abs(s.mean(0)),    std::abs(s.mean(1)), log_length(s.spread(0)),
+          log_length(s.spread(1))};
+      to = std::copy(numbers.begin(), numbers.end(), to);
+    }
+    for (const Slice& s : sliced<kSections>(lane, 0)) {
+      const std::array<float, 6> numbers = {s.count() / total,
+                                            s.mean(1),
+                                            s.mean(2),
+                                            s.spread(1),
+                                            s.spread(2),
+                                            s.count() > 0 ? s.top : 0.0f};
+      to = std::copy(numbers.begin(), numbers.end(), to);
+    }
+  }
+
+  // Evenly spaced order statistics of row(i) for i < count, mapped; `padded` is a power of two.
   template <typename Value, typename Map>
   void marks(std::size_t first, std::size_t number, std::size_t count, std::size_t padded,
-             Value&& value, Map&& map) {
-    for (Row& row : rows_) row.fill(std::numeric_limits<float>::infinity());
-    for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
-      for (std::size_t i = 0; i < count; ++i) rows_[i][lane] = value(clouds_[lane], i);
+             Value&& row, Map&& map) {
+    for (std::size_t i = 0; i < count; ++i) rows_[i] = row(i);
+    for (std::size_t i = count; i < padded; ++i) {
+      rows_[i].fill(std::numeric_limits<float>::infinity());
     }
-    sort_lanes(rows_.data(), padded);
-    for (std::size_t lane = 0; lane < clouds_.size(); ++lane) {
+    kernels_.sort_lanes(rows_.front().data(), padded);
+    for (std::size_t lane = 0; lane < clouds_; ++lane) {
       for (std::size_t k = 0; k < number; ++k) {
         const std::size_t rank = (k * (count - 1) + (number - 1) / 2) / (number - 1);
-        out(lane)[first + k] = map(clouds_[lane], rows_[rank][lane]);
+        out(lane)[first + k] = map(lane, rows_[rank][lane]);
       }
     }
   }
 
   void write_quantiles() {
-    const auto length = [](const Cloud&, float v) { return log_length(v); };
-    const auto square = [](const Cloud&, float v) { return log_length(std::sqrt(v)); };
-    const std::size_t count = std::min(clouds_.front().size(), kSorted);
-    const auto write = [&](std::size_t k, auto&& value, auto&& map) {
-      marks(kQuantiles + k * kMarks, kMarks, count, kSorted, value, map);
+    const auto length = [](std::size_t, float v) { return log_length(v); };
+    const auto square = [](std::size_t, float v) { return log_length(std::sqrt(v)); };
+    const std::size_t count = std::min(count_, kSorted);
+    const Row *x = coordinate(0), *y = coordinate(1), *z = coordinate(2);
+    const Row &mean_x = axes_[0].mean, &mean_y = axes_[1].mean;
+    const auto write = [&](std::size_t k, auto&& row, auto&& map) {
+      marks(kQuantiles + k * kMarks, kMarks, count, kSorted, row, map);
     };
     write(
-        0, [](const Cloud& c, std::size_t i) { return c.at(i, 2); },
-        [](const Cloud& c, float z) { return z + c.height(); });
+        0, [&](std::size_t i) { return z[i]; },
+        [&](std::size_t lane, float v) { return v + heights_[lane]; });
     write(
         1,
-        [](const Cloud& c, std::size_t i) {
-          const float x = c.centred(i, 0), y = c.centred(i, 1);
-          return x * x + y * y;
+        [&](std::size_t i) {
+          return each_lane([&](std::size_t k) {
+            const float dx = x[i][k] - mean_x[k], dy = y[i][k] - mean_y[k];
+            return dx * dx + dy * dy;
+          });
         },
         square);
-    write(2, [](const Cloud& c, std::size_t i) { return std::abs(c.centred(i, 0)); }, length);
-    write(3, [](const Cloud& c, std::size_t i) { return std::abs(c.centred(i, 1)); }, length);
+    const auto off = [](const Row* values, const Row& mean) {
+      return [values, &mean](std::size_t i) {
+        return each_lane([&](std::size_t k) { return std::abs(values[i][k] - mean[k]); });
+      };
+    };
+    write(2, off(x, mean_x), length);
+    write(3, off(y, mean_y), length);
   }
 
   void write_distances() {
-    const auto square = [](const Cloud&, float v) { return log_length(std::sqrt(v)); };
-    const auto metres = [](const Cloud&, float v) { return v; };
-    const auto between = [](const Cloud& c, std::size_t pair, std::size_t d) {
-      return c.at(kPairOf[pair].first, d) - c.at(kPairOf[pair].second, d);
+    const auto square = [](std::size_t, float v) { return log_length(std::sqrt(v)); };
+    const auto metres = [](std::size_t, float v) { return v; };
+    const Row *x = coordinate(0), *y = coordinate(1), *z = coordinate(2);
+    const auto flat = [&](std::size_t i) {
+      const auto [a, b] = kPairOf[i];
+      const Row &ax = x[a], &bx = x[b], &ay = y[a], &by = y[b];
+      return each_lane([&](std::size_t k) {
+        const float dx = ax[k] - bx[k], dy = ay[k] - by[k];
+        return dx * dx + dy * dy;
+      });
     };
-    const auto flat = [&](const Cloud& c, std::size_t i) {
-      const float x = between(c, i, 0), y = between(c, i, 1);
-      return x * x + y * y;
+    const auto rise = [&](std::size_t i) {
+      const Row &az = z[kPairOf[i].first], &bz = z[kPairOf[i].second];
+      return each_lane([&](std::size_t k) { return std::abs(az[k] - bz[k]); });
     };
-    const auto space = [&](const Cloud& c, std::size_t i) {
-      const float z = between(c, i, 2);
-      return flat(c, i) + z * z;
+    const auto space = [&](std::size_t i) {
+      const Row level = flat(i), up = rise(i);
+      return each_lane([&](std::size_t k) { return level[k] + up[k] * up[k]; });
     };
-    const auto rise = [&](const Cloud& c, std::size_t i) { return std::abs(between(c, i, 2)); };
     marks(kDistances, kPairMarks, kPairs, kRows, space, square);
     marks(kDistances + kPairMarks, kPairMarks, kPairs, kRows, flat, square);
     marks(kDistances + 2 * kPairMarks, kMarks, kPairs, kRows, rise, metres);
@@ -250,9 +252,13 @@ class Batch {
     return pairs;
   }
 
-  const std::vector<Cloud>& clouds_;
-  float* output_;
-  std::vector<Row> rows_;
+  const Kernels& kernels_;
+  std::size_t count_, clouds_ = 0;
+  const float* prepared_ = nullptr;
+  const float* heights_ = nullptr;
+  float* output_ = nullptr;
+  std::vector<Row> rows_, xyz_;  // what is sorted; the coordinates
+  std::array<Axis, 3> axes_;
 };
 
 const std::array<Batch::Pair, kPairs> Batch::kPairOf = Batch::all_pairs();
@@ -264,13 +270,10 @@ std::size_t profile_size() { return kSize; }
 void shape_profiles(const float* prepared, const float* heights, std::size_t segments,
                     std::size_t count, int threads, float* output) {
   parallel_for(segments, kLanes, threads, [&](std::size_t begin, std::size_t end, int) {
-    std::vector<Cloud> clouds;
+    Batch batch(best_kernels(), count);
     for (std::size_t first = begin; first < end; first += kLanes) {
-      clouds.clear();
-      for (std::size_t i = first; i < std::min(first + kLanes, end); ++i) {
-        clouds.emplace_back(prepared + 3 * count * i, count, heights[i]);
-      }
-      Batch(clouds, output + kSize * first).write();
+      batch.write(prepared + 3 * count * first, heights + first, std::min(kLanes, end - first),
+                  output + kSize * first);
     }
   });
 }

@@ -1,7 +1,6 @@
 #include "frontend/cluster.h"
 
 #include <algorithm>
-#include <array>
 #include <functional>
 #include <numeric>
 
@@ -35,6 +34,28 @@ class DisjointSets {
   std::vector<std::uint32_t> parent_;
 };
 
+// The points above the lowest of the cuts, which are these rows of the input. Their levels: how many
+// of the cuts, which fall, they are not above.
+struct Above {
+  Above(const float* all, const float* heights, std::size_t n, const std::vector<double>& falling)
+      : rows(n), level(n), points(3 * n) {
+    std::size_t count = 0;
+    for (std::size_t i = 0; i < n; ++i) {  // what is not kept is written over by the next one
+      std::size_t below = 0;
+      for (const double cut : falling) below += !(heights[i] > cut);
+      rows[count] = static_cast<std::uint32_t>(i);
+      level[count] = static_cast<std::uint8_t>(below);
+      for (std::size_t a = 0; a < 3; ++a) points[3 * count + a] = all[3 * i + a];
+      count += below < falling.size();
+    }
+    rows.resize(count), level.resize(count), points.resize(3 * count);
+  }
+
+  std::vector<std::uint32_t> rows;
+  std::vector<std::uint8_t> level;
+  std::vector<float> points;
+};
+
 // Points that are linked for certain: those in a cube of half the radius. Those of the highest
 // level come first.
 struct Cell {
@@ -53,26 +74,28 @@ struct Block {
 // Points in cells, of which those of ever more levels are linked.
 class Lattice {
  public:
-  // A level for each point, below `levels`.
-  Lattice(const std::vector<float>& points, const std::vector<std::uint8_t>& level,
-          std::size_t levels, double radius)
+  Lattice(const Above& above, std::size_t levels, double radius)
       : levels_(levels), radius2_(static_cast<float>(radius * radius)), sets_(0) {
-    const std::size_t n = level.size();
+    const std::vector<float>& points = above.points;
+    const std::size_t n = above.rows.size();
     // A hair wider than the radius, so that rounding never puts linked points two blocks apart.
     const double block_size = radius * (1.0 + 1e-6);
-    const CellOrder sorted = sort_into_cells(points.data(), n, block_size);
+    const CellRuns sorted = sort_into_runs(points.data(), n, block_size);
     stride_y_ = sorted.stride_y;
     stride_z_ = sorted.stride_z;
     order_.resize(n);
+    cell_of_.resize(n);
     xyz_.resize(3 * n);
     ends_.reserve(levels * n / 2);
     blocks_.reserve(n / 4);
-    const std::vector<std::uint16_t> slots = slots_of(points, level, block_size);
-    for (std::size_t i = 0; i < n;) {
-      std::size_t j = i;
-      while (j < n && sorted.keys[j] == sorted.keys[i]) ++j;
-      add_block(points, sorted, slots, i, j);
-      i = j;
+    const std::vector<std::uint16_t> slots = slots_of(points, above.level, block_size);
+    const CellRun* end = sorted.runs.data() + sorted.runs.size();
+    std::uint32_t row = 0;
+    for (const CellRun* begin = sorted.runs.data(); begin < end;) {
+      const CellRun* next = begin;
+      while (next < end && next->key == begin->key) ++next;
+      row = add_block(points, begin, next, slots, row);
+      begin = next;
     }
     sets_ = DisjointSets(cells_.size());
   }
@@ -90,45 +113,54 @@ class Lattice {
     }
   }
 
-  // Calls visit(root, first, last) for the sorted points of each cell up to the linked level.
-  template <typename Visit>
-  void each_cell(Visit&& visit) {
-    for (std::uint32_t c = 0; c < cells_.size(); ++c) {
-      if (!is_empty(c)) visit(sets_.find(c), cells_[c].begin, end(c));
+  // Up to the linked level:
+  std::size_t cells() const { return cells_.size(); }
+  std::uint32_t cell_of(std::size_t point) const { return cell_of_[point]; }
+  std::uint32_t root(std::uint32_t cell) { return sets_.find(cell); }
+  std::uint32_t size(std::uint32_t cell) const { return end(cell) - cells_[cell].begin; }
+  // The first point of a cell that has any.
+  std::uint32_t first_point(std::uint32_t cell) const {
+    std::uint32_t first = order_[cells_[cell].begin];
+    for (std::size_t k = 0; k < level_; ++k) {  // points of one level keep their order
+      const std::uint32_t begin = ends_[cell * levels_ + k];
+      if (begin < ends_[cell * levels_ + k + 1]) first = std::min(first, order_[begin]);
     }
+    return first;
   }
 
-  std::size_t cells() const { return cells_.size(); }
-  std::uint32_t point(std::size_t sorted) const { return order_[sorted]; }
-
  private:
-  // The cell of each point within its block, and its level.
+  // The cell of each point within its block, and its level: whether it lies in the upper half of the
+  // block along each axis.
   std::vector<std::uint16_t> slots_of(const std::vector<float>& points,
                                       const std::vector<std::uint8_t>& level,
                                       double block_size) const {
     std::vector<std::uint16_t> slots(level.size());
+    const std::vector<std::uint8_t> upper = odd_cells(points.data(), points.size(), block_size / 2);
     for (std::size_t i = 0; i < slots.size(); ++i) {
-      std::size_t octant = 0;
-      for (unsigned a = 0; a < 3; ++a) {
-        const double at = points[3 * i + a] / block_size;
-        octant |= static_cast<std::size_t>(at - double(floor_of(at)) >= 0.5) << a;
-      }
+      const std::size_t octant =
+          upper[3 * i] | std::size_t{upper[3 * i + 1]} << 1 | std::size_t{upper[3 * i + 2]} << 2;
       slots[i] = static_cast<std::uint16_t>(octant * levels_ + level[i]);
     }
     return slots;
   }
 
-  void add_block(const std::vector<float>& points, const CellOrder& sorted,
-                 const std::vector<std::uint16_t>& slots, std::size_t begin, std::size_t end) {
+  // The block of some runs, whose points come from `row` on; the row behind them.
+  std::uint32_t add_block(const std::vector<float>& points, const CellRun* begin,
+                          const CellRun* end, const std::vector<std::uint16_t>& slots,
+                          std::uint32_t row) {
     start_.assign(8 * levels_, 0);
-    for (std::size_t i = begin; i < end; ++i) ++start_[slots[sorted.order[i]]];
+    cell_of_slot_.resize(8 * levels_);
+    for (const CellRun* run = begin; run < end; ++run) {
+      for (std::uint32_t i = run->begin; i < run->end; ++i) ++start_[slots[i]];
+    }
     const auto first_cell = static_cast<std::uint32_t>(cells_.size());
-    auto at = static_cast<std::uint32_t>(begin);
+    std::uint32_t at = row;
     for (std::size_t octant = 0; octant < 8; ++octant) {
       const std::uint32_t cell_begin = at;
       for (std::size_t k = octant * levels_; k < (octant + 1) * levels_; ++k) {
         const std::uint32_t count = start_[k];
         start_[k] = at;
+        cell_of_slot_[k] = static_cast<std::uint32_t>(cells_.size());
         at += count;
         ends_.push_back(at);
       }
@@ -138,14 +170,18 @@ class Lattice {
         ends_.resize(ends_.size() - levels_);
       }
     }
-    for (std::size_t i = begin; i < end; ++i) {
-      const std::uint32_t point = sorted.order[i], slot = start_[slots[point]]++;
-      order_[slot] = point;
-      std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
-                  xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+    for (const CellRun* run = begin; run < end; ++run) {
+      for (std::uint32_t point = run->begin; point < run->end; ++point) {
+        const std::uint32_t slot = start_[slots[point]]++;
+        order_[slot] = point;
+        cell_of_[point] = cell_of_slot_[slots[point]];
+        std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
+                    xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+      }
     }
     const auto end_cell = static_cast<std::uint32_t>(cells_.size());
-    blocks_.push_back({sorted.keys[begin], first_cell, end_cell, false, false});
+    blocks_.push_back({begin->key, first_cell, end_cell, false, false});
+    return at;
   }
 
   std::uint32_t end(std::uint32_t cell) const { return ends_[cell * levels_ + level_]; }
@@ -214,36 +250,45 @@ class Lattice {
   std::size_t levels_, level_ = 0;
   float radius2_;
   std::int64_t stride_y_ = 0, stride_z_ = 0;
-  std::vector<std::uint32_t> order_;
+  std::vector<std::uint32_t> order_, cell_of_;
   std::vector<float> xyz_;
   std::vector<Cell> cells_;
   std::vector<std::uint32_t> ends_, start_;  // of each level of each cell, or of a block's cell
+  std::vector<std::uint32_t> cell_of_slot_;  // of a block
   std::vector<Block> blocks_;
   DisjointSets sets_;
 };
 
-// The clusters of the linked points, which are these rows of the input.
-Clusters clusters_of(Lattice& lattice, const std::vector<std::uint32_t>& rows,
+// The clusters of the points up to a level, which is linked.
+Clusters clusters_of(Lattice& lattice, const Above& above, std::size_t level,
                      std::size_t min_points, std::size_t max_points) {
+  const std::size_t cells = lattice.cells();
+  std::vector<std::uint32_t> root_of(cells), size(cells, 0), first(cells, 0xFFFFFFFFu);
+  for (std::uint32_t c = 0; c < cells; ++c) {
+    const std::uint32_t root = root_of[c] = lattice.root(c);
+    if (lattice.size(c) == 0) continue;
+    size[root] += lattice.size(c);
+    first[root] = std::min(first[root], lattice.first_point(c));
+  }
+  std::vector<std::uint32_t> kept;
+  for (std::uint32_t c = 0; c < cells; ++c) {
+    if (size[c] >= std::max<std::size_t>(min_points, 1) && size[c] <= max_points) kept.push_back(c);
+  }
+  std::sort(kept.begin(), kept.end(),
+            [&](std::uint32_t a, std::uint32_t b) { return first[a] < first[b]; });
   Clusters result;
   result.offsets.push_back(0);
-  constexpr std::uint32_t kNone = 0xFFFFFFFFu;
-  std::vector<std::uint32_t> size(lattice.cells(), 0), root_of(rows.size(), kNone);
-  lattice.each_cell([&](std::uint32_t root, std::uint32_t first, std::uint32_t last) {
-    size[root] += last - first;
-    for (std::uint32_t i = first; i < last; ++i) root_of[lattice.point(i)] = root;
-  });
-  std::vector<std::int64_t> slot(lattice.cells(), -1);
-  for (const std::uint32_t root : root_of) {
-    if (root == kNone || slot[root] >= 0) continue;
-    if (size[root] < min_points || size[root] > max_points) continue;
-    slot[root] = result.offsets.back();
+  std::vector<std::int64_t> next(cells, -1);  // where a point goes
+  for (const std::uint32_t root : kept) {
+    next[root] = result.offsets.back();
     result.offsets.push_back(result.offsets.back() + size[root]);
   }
   result.points.resize(static_cast<std::size_t>(result.offsets.back()));
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    if (root_of[i] == kNone || slot[root_of[i]] < 0) continue;
-    result.points[static_cast<std::size_t>(slot[root_of[i]]++)] = rows[i];
+  for (std::size_t i = 0; i < above.rows.size(); ++i) {
+    std::int64_t& at = next[root_of[lattice.cell_of(i)]];
+    if (above.level[i] <= level && at >= 0) {
+      result.points[static_cast<std::size_t>(at++)] = above.rows[i];
+    }
   }
   return result;
 }
@@ -255,22 +300,12 @@ Clusters clusters_above(const float* points, const float* heights, std::size_t n
                         std::size_t max_points) {
   std::vector<double> falling = cuts;
   std::sort(falling.begin(), falling.end(), std::greater<>());
-  std::vector<std::uint32_t> rows;
-  std::vector<std::uint8_t> level;
-  std::vector<float> above;
-  for (std::size_t i = 0; i < n; ++i) {
-    const auto cut = std::find_if(falling.begin(), falling.end(),
-                                  [&](double each) { return heights[i] > each; });
-    if (cut == falling.end()) continue;
-    rows.push_back(static_cast<std::uint32_t>(i));
-    level.push_back(static_cast<std::uint8_t>(cut - falling.begin()));
-    above.insert(above.end(), points + 3 * i, points + 3 * (i + 1));
-  }
-  Lattice lattice(above, level, falling.size(), radius);
+  const Above above(points, heights, n, falling);
+  Lattice lattice(above, falling.size(), radius);
   std::vector<Clusters> found(falling.size());
   for (std::size_t k = 0; k < falling.size(); ++k) {
     lattice.link_level(k);
-    found[k] = clusters_of(lattice, rows, min_points, max_points);
+    found[k] = clusters_of(lattice, above, k, min_points, max_points);
   }
   Clusters result;
   result.offsets.push_back(0);
@@ -284,6 +319,29 @@ Clusters clusters_above(const float* points, const float* heights, std::size_t n
     result.points.insert(result.points.end(), part.points.begin(), part.points.end());
   }
   return result;
+}
+
+Segments segments_of(const Clusters& clusters, const float* points, const float* heights) {
+  const std::size_t count = clusters.offsets.size() - 1;
+  Segments found;
+  found.points.resize(3 * clusters.points.size());
+  found.centroids.resize(3 * count);
+  found.heights.resize(count);
+  float* to = found.points.data();
+  for (std::size_t s = 0; s < count; ++s) {
+    const auto begin = static_cast<std::size_t>(clusters.offsets[s]);
+    const auto end = static_cast<std::size_t>(clusters.offsets[s + 1]);
+    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+    for (std::size_t k = begin; k < end; ++k) {
+      const std::size_t i = clusters.points[k];
+      for (std::size_t a = 0; a < 3; ++a) sum[a] += *to++ = points[3 * i + a];
+      sum[3] += heights[i];
+    }
+    const auto size = static_cast<double>(end - begin);
+    for (std::size_t a = 0; a < 3; ++a) found.centroids[3 * s + a] = sum[a] / size;
+    found.heights[s] = static_cast<float>(sum[3] / size);
+  }
+  return found;
 }
 
 Clusters euclidean_clusters(const float* points, std::size_t n, double radius,

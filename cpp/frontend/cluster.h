@@ -24,4 +24,14 @@ Clusters clusters_above(const float* points, const float* heights, std::size_t n
                         const std::vector<double>& cuts, double radius, std::size_t min_points,
                         std::size_t max_points);
 
+// Clusters with their measures.
+struct Segments {
+  std::vector<float> points;      // (M, 3), cluster after cluster
+  std::vector<double> centroids;  // (clusters, 3)
+  std::vector<float> heights;     // the mean ones of their points
+};
+
+// Of clusters of these points and heights.
+Segments segments_of(const Clusters& clusters, const float* points, const float* heights);
+
 }  // namespace segloc

@@ -6,6 +6,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "common/cells.h"
+
 namespace segloc {
 namespace {
 
@@ -17,119 +19,166 @@ constexpr int kEnoughSupport = 24;           // cells
 constexpr double kSupportShare = 0.15;
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
-struct Grid {
-  double x0 = 0.0, y0 = 0.0, cell = 1.0;
-  std::int64_t nx = 0, ny = 0;
-  std::vector<float> z;
-
-  float& at(std::int64_t ix, std::int64_t iy) { return z[static_cast<std::size_t>(iy * nx + ix)]; }
-  float get(std::int64_t ix, std::int64_t iy) const {
-    return z[static_cast<std::size_t>(iy * nx + ix)];
+// Division by the edge of a cell; where that is a power of two a product is as exact, and faster.
+class Cells {
+ public:
+  explicit Cells(double edge) : edge_(edge), inverse_(1.0 / edge) {
+    int exponent = 0;
+    exact_ = std::frexp(edge, &exponent) == 0.5 && std::isfinite(inverse_);
   }
+  double operator()(double metres) const { return exact_ ? metres * inverse_ : metres / edge_; }
+
+ private:
+  double edge_, inverse_;
+  bool exact_;
+};
+
+// The lowest point of each cell, with a border of unknown ones: no neighbour is out of bounds.
+struct Grid {
+  static constexpr std::int64_t kBorder = kSupportRadius;
+
+  Grid(double edge, double low_x, double low_y, std::int64_t columns, std::int64_t rows)
+      : x0(low_x), y0(low_y), cell(edge), in_cells(edge), nx(columns), ny(rows),
+        stride(columns + 2 * kBorder),
+        z(static_cast<std::size_t>(stride * (rows + 2 * kBorder)), kUnknown) {}
+
+  float* row(std::int64_t iy) { return z.data() + (iy + kBorder) * stride + kBorder; }
+  const float* row(std::int64_t iy) const { return z.data() + (iy + kBorder) * stride + kBorder; }
+
+  double x0, y0, cell;
+  Cells in_cells;
+  std::int64_t nx, ny, stride;
+  std::vector<float> z;
 };
 
 Grid lowest_points(const float* points, std::size_t n, double cell) {
-  double low[2] = {points[0], points[1]}, high[2] = {points[0], points[1]};
-  for (std::size_t i = 0; i < n; ++i) {
-    for (int a = 0; a < 2; ++a) {
-      low[a] = std::min<double>(low[a], points[3 * i + a]);
-      high[a] = std::max<double>(high[a], points[3 * i + a]);
-    }
-  }
-  for (const double v : {low[0], low[1], high[0], high[1]}) {
+  const Bounds bounds = bounds_of(points, n);
+  for (const double v : {bounds.low[0], bounds.low[1], bounds.high[0], bounds.high[1]}) {
     if (!(std::abs(v) / cell < kMostCells))
       throw std::invalid_argument("the cloud is too far from the origin for this ground cell");
   }
-  const double nx = std::floor(high[0] / cell) - std::floor(low[0] / cell) + 1;
-  const double ny = std::floor(high[1] / cell) - std::floor(low[1] / cell) + 1;
-  if (!(nx * ny <= kMaxCells))
+  double first[2], count[2];
+  for (int a = 0; a < 2; ++a) {
+    first[a] = std::floor(bounds.low[a] / cell);
+    count[a] = std::floor(bounds.high[a] / cell) - first[a] + 1;
+  }
+  if (!(count[0] * count[1] <= kMaxCells))
     throw std::invalid_argument("the cloud is too wide for a ground grid");
-  Grid grid;
-  grid.cell = cell;
-  grid.x0 = std::floor(low[0] / cell) * cell;
-  grid.y0 = std::floor(low[1] / cell) * cell;
-  grid.nx = static_cast<std::int64_t>(nx);
-  grid.ny = static_cast<std::int64_t>(ny);
-  grid.z.assign(static_cast<std::size_t>(grid.nx * grid.ny), kUnknown);
+  Grid grid(cell, first[0] * cell, first[1] * cell, static_cast<std::int64_t>(count[0]),
+            static_cast<std::int64_t>(count[1]));
   for (std::size_t i = 0; i < n; ++i) {
-    const auto ix = static_cast<std::int64_t>((points[3 * i] - grid.x0) / cell);
-    const auto iy = static_cast<std::int64_t>((points[3 * i + 1] - grid.y0) / cell);
-    float& z = grid.at(std::clamp<std::int64_t>(ix, 0, grid.nx - 1),
-                       std::clamp<std::int64_t>(iy, 0, grid.ny - 1));
+    const auto ix = static_cast<std::int64_t>(grid.in_cells(points[3 * i] - grid.x0));
+    const auto iy = static_cast<std::int64_t>(grid.in_cells(points[3 * i + 1] - grid.y0));
+    float& z = grid.row(std::clamp<std::int64_t>(iy, 0, grid.ny - 1))[
+        std::clamp<std::int64_t>(ix, 0, grid.nx - 1)];
     z = std::min(z, points[3 * i + 2]);
   }
   return grid;
 }
 
-// Whether enough of the cells around one have their lowest point at about the same height. Rings
-// are searched from the inside out, so that ordinary ground is settled after a few cells.
-bool is_supported(const Grid& grid, std::int64_t ix, std::int64_t iy, double margin) {
-  const float z = grid.get(ix, iy);
-  int known = 0, level = 0;
-  for (std::int64_t radius = 1; radius <= kSupportRadius; ++radius) {
-    const auto band = static_cast<float>(margin + kSupportSlope * grid.cell * double(radius));
-    for (std::int64_t y = std::max<std::int64_t>(iy - radius, 0);
-         y <= std::min(iy + radius, grid.ny - 1); ++y) {
-      // The two rows of a ring are walked in full, the sides only at their ends.
-      const std::int64_t step = std::abs(y - iy) == radius ? 1 : 2 * radius;
-      for (std::int64_t x = ix - radius; x <= ix + radius; x += step) {
-        if (x < 0 || x >= grid.nx || grid.get(x, y) == kUnknown) continue;
-        ++known;
-        if (std::fabs(grid.get(x, y) - z) <= band) ++level;
+// Whether enough of the cells around one have their lowest point at about the same height. Heights
+// may differ the more the farther cells are apart.
+class Support {
+ public:
+  Support(const Grid& grid, double margin) : grid_(grid) {
+    for (std::int64_t dy = -kSupportRadius; dy <= kSupportRadius; ++dy) {
+      for (std::int64_t dx = -kSupportRadius; dx <= kSupportRadius; ++dx) {
+        const std::int64_t ring = std::max(std::abs(dx), std::abs(dy));
+        const double band = margin + kSupportSlope * grid.cell * double(ring);
+        band_[dy + kSupportRadius][dx + kSupportRadius] = static_cast<float>(band);
       }
     }
-    if (level >= kEnoughSupport) return true;
   }
-  return level >= kSupportShare * known;
-}
+
+  // How many of the nearest cells around each cell of a row support it: most need no more.
+  void count_nearest(std::int64_t iy, std::int32_t* level) const {
+    constexpr std::int64_t kNearest = 3;
+    const float* z = grid_.row(iy);
+    std::fill(level, level + grid_.nx, 0);
+    for (std::int64_t dy = -kNearest; dy <= kNearest; ++dy) {
+      for (std::int64_t dx = -kNearest; dx <= kNearest; ++dx) {
+        if (dx == 0 && dy == 0) continue;
+        const float band = band_[dy + kSupportRadius][dx + kSupportRadius];
+        const float* other = grid_.row(iy + dy) + dx;
+        for (std::int64_t x = 0; x < grid_.nx; ++x) level[x] += std::fabs(other[x] - z[x]) <= band;
+      }
+    }
+  }
+
+  // Whether a cell that has a point is supported, by all around it.
+  bool holds(std::int64_t ix, std::int64_t iy) const {
+    const float z = grid_.row(iy)[ix];
+    std::int32_t level = -1, known = -1;  // without itself
+    for (std::int64_t dy = -kSupportRadius; dy <= kSupportRadius; ++dy) {
+      const float* other = grid_.row(iy + dy) + ix - kSupportRadius;
+      const float* band = band_[dy + kSupportRadius];
+      for (std::int64_t x = 0; x <= 2 * kSupportRadius; ++x) {
+        level += std::fabs(other[x] - z) <= band[x];
+        known += other[x] != kUnknown;
+      }
+    }
+    return level >= kEnoughSupport || level >= kSupportShare * known;
+  }
+
+ private:
+  const Grid& grid_;
+  float band_[2 * kSupportRadius + 1][2 * kSupportRadius + 1];
+};
 
 // Stray returns below the ground (mirror images in windows and car doors), alone or in clumps,
 // would pull the whole envelope down: what the surroundings do not support is forgotten.
 void drop_outliers(Grid& grid, double margin) {
-  std::vector<float> kept = grid.z;
+  const Support support(grid, margin);
+  std::vector<std::int32_t> level(static_cast<std::size_t>(grid.nx));
+  std::vector<std::size_t> dropped;
+  bool any = false;  // is supported
   for (std::int64_t iy = 0; iy < grid.ny; ++iy) {
+    support.count_nearest(iy, level.data());
+    const float* z = grid.row(iy);
     for (std::int64_t ix = 0; ix < grid.nx; ++ix) {
-      if (grid.get(ix, iy) == kUnknown || is_supported(grid, ix, iy, margin)) continue;
-      kept[static_cast<std::size_t>(iy * grid.nx + ix)] = kUnknown;
+      if (z[ix] == kUnknown) continue;
+      const bool holds =
+          level[static_cast<std::size_t>(ix)] >= kEnoughSupport || support.holds(ix, iy);
+      any |= holds;
+      if (!holds) dropped.push_back(static_cast<std::size_t>(z + ix - grid.z.data()));
     }
   }
-  const bool any = std::any_of(kept.begin(), kept.end(), [](float z) { return z != kUnknown; });
-  if (any) grid.z = std::move(kept);
+  if (!any) return;
+  for (const std::size_t at : dropped) grid.z[at] = kUnknown;
 }
 
 // Two chamfer sweeps give the lower envelope of cones of slope max_slope.
 void lower_envelope(Grid& grid, double max_slope) {
   const auto side = static_cast<float>(max_slope * grid.cell);
   const auto diagonal = static_cast<float>(max_slope * grid.cell * std::sqrt(2.0));
-  const auto relax = [&](std::int64_t ix, std::int64_t iy, int dx, int dy) {
-    const std::int64_t x = ix + dx, y = iy + dy;
-    if (x < 0 || y < 0 || x >= grid.nx || y >= grid.ny) return;
-    float& z = grid.at(ix, iy);
-    z = std::min(z, grid.get(x, y) + (dx != 0 && dy != 0 ? diagonal : side));
+  const auto relax_row = [&](float* z, const float* other) {
+    for (std::int64_t x = 0; x < grid.nx; ++x) {
+      const float across = std::min(other[x - 1], other[x + 1]) + diagonal;
+      z[x] = std::min(z[x], std::min(across, other[x] + side));
+    }
   };
   for (std::int64_t iy = 0; iy < grid.ny; ++iy) {
-    for (std::int64_t ix = 0; ix < grid.nx; ++ix) {
-      relax(ix, iy, -1, 0);
-      for (int dx = -1; dx <= 1; ++dx) relax(ix, iy, dx, -1);
-    }
+    float* z = grid.row(iy);
+    relax_row(z, grid.row(iy - 1));
+    for (std::int64_t x = 0; x < grid.nx; ++x) z[x] = std::min(z[x], z[x - 1] + side);
   }
   for (std::int64_t iy = grid.ny - 1; iy >= 0; --iy) {
-    for (std::int64_t ix = grid.nx - 1; ix >= 0; --ix) {
-      relax(ix, iy, 1, 0);
-      for (int dx = -1; dx <= 1; ++dx) relax(ix, iy, dx, 1);
-    }
+    float* z = grid.row(iy);
+    relax_row(z, grid.row(iy + 1));
+    for (std::int64_t x = grid.nx - 1; x >= 0; --x) z[x] = std::min(z[x], z[x + 1] + side);
   }
 }
 
 // Bilinear between cell centres.
 float ground_at(const Grid& grid, float px, float py) {
-  const double x = std::clamp((px - grid.x0) / grid.cell - 0.5, 0.0, double(grid.nx - 1));
-  const double y = std::clamp((py - grid.y0) / grid.cell - 0.5, 0.0, double(grid.ny - 1));
+  const double x = std::clamp(grid.in_cells(px - grid.x0) - 0.5, 0.0, double(grid.nx - 1));
+  const double y = std::clamp(grid.in_cells(py - grid.y0) - 0.5, 0.0, double(grid.ny - 1));
   const auto ix = static_cast<std::int64_t>(x), iy = static_cast<std::int64_t>(y);
   const std::int64_t jx = std::min(ix + 1, grid.nx - 1), jy = std::min(iy + 1, grid.ny - 1);
   const double u = x - double(ix), v = y - double(iy);
-  const double near = (1 - u) * grid.get(ix, iy) + u * grid.get(jx, iy);
-  const double far = (1 - u) * grid.get(ix, jy) + u * grid.get(jx, jy);
+  const float *below = grid.row(iy), *above = grid.row(jy);
+  const double near = (1 - u) * below[ix] + u * below[jx];
+  const double far = (1 - u) * above[ix] + u * above[jx];
   return static_cast<float>((1 - v) * near + v * far);
 }
 
@@ -147,6 +196,21 @@ std::vector<float> heights_above_ground(const float* points, std::size_t n,
     heights[i] = points[3 * i + 2] - ground_at(grid, points[3 * i], points[3 * i + 1]);
   }
   return heights;
+}
+
+void split_by_height(const float* points, const float* heights, std::size_t n, double cut,
+                     std::vector<float>& above, std::vector<float>& below) {
+  const auto high = [&](std::size_t i) { return heights[i] > cut; };
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < n; ++i) count += high(i);
+  above.resize(3 * count + 3), below.resize(3 * (n - count) + 3);  // one more: no branch to guess
+  float *to = above.data(), *other = below.data();
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t a = 0; a < 3; ++a) to[a] = other[a] = points[3 * i + a];
+    to += high(i) ? 3 : 0;
+    other += high(i) ? 0 : 3;
+  }
+  above.resize(3 * count), below.resize(3 * (n - count));
 }
 
 }  // namespace segloc

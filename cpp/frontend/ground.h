@@ -18,4 +18,8 @@ struct GroundOptions {
 std::vector<float> heights_above_ground(const float* points, std::size_t n,
                                         const GroundOptions& options);
 
+// The points higher than the cut, and the others, in their order.
+void split_by_height(const float* points, const float* heights, std::size_t n, double cut,
+                     std::vector<float>& above, std::vector<float>& below);
+
 }  // namespace segloc

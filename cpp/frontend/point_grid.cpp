@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "common/portability.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -43,21 +44,25 @@ struct Place {
 // Cells twice as wide as the radius: a neighbourhood touches eight of them at most.
 PointGrid::PointGrid(const float* points, std::size_t n, double radius)
     : cell_(2.0 * radius), per_metre_(1.0 / cell_) {
-  const CellOrder order = sort_into_cells(points, n, cell_);
-  for (std::vector<float>* each : {&x_, &y_, &z_}) each->assign(n + kLanes, kInfinity);
-  original_.assign(order.order.begin(), order.order.end());
+  const CellRuns sorted = sort_into_runs(points, n, cell_);
+  for (std::vector<float>* each : {&x_, &y_, &z_}) each->resize(n + kPad, kInfinity);
+  original_.reserve(n);
   std::vector<Range> found;
-  for (std::size_t i = 0; i < n; ++i) {
-    const float* p = points + 3 * static_cast<std::size_t>(order.order[i]);
-    for (int a = 0; a < 3; ++a) {
-      if (std::abs(p[a] / cell_) >= double(kAxis - 2))
-        throw std::invalid_argument("cloud too wide");
+  std::uint32_t row = 0;
+  const auto too_far = static_cast<float>(cell_ * double(kAxis - 2));
+  bool wide = false;
+  for (std::size_t k = 0; k < sorted.runs.size(); ++k) {
+    const CellRun& run = sorted.runs[k];
+    if (k == 0 || run.key != sorted.runs[k - 1].key) found.push_back({row, row});
+    for (std::uint32_t i = run.begin; i < run.end; ++i, ++row) {
+      const float* p = points + 3 * static_cast<std::size_t>(i);
+      for (int a = 0; a < 3; ++a) wide |= std::abs(p[a]) >= too_far;
+      x_[row] = p[0], y_[row] = p[1], z_[row] = p[2];
+      original_.push_back(i);
     }
-    x_[i] = p[0], y_[i] = p[1], z_[i] = p[2];
-    const auto row = static_cast<std::uint32_t>(i);
-    if (i == 0 || order.keys[i] != order.keys[i - 1]) found.push_back({row, row});
-    found.back().end = row + 1;
+    found.back().end = row;
   }
+  if (wide) throw std::invalid_argument("cloud too wide");
   fill(found);
 }
 
@@ -116,6 +121,27 @@ void PointGrid::visit_cells(const Point& p, double radius, const Bound& bound,
       }
     }
   }
+}
+
+std::size_t PointGrid::within(const Point& p, double radius, float distance2,
+                              std::uint32_t* found) const {
+  std::int64_t low[3], high[3];
+  if (!reach(p, radius, low, high)) return 0;
+  std::size_t count = 0;
+  const Kernels& kernels = best_kernels();
+  const PointArrays points = {x_.data(), y_.data(), z_.data()};
+  Cells cells(*this, low);
+  for (std::int64_t x = low[0]; x <= high[0]; ++x) {
+    for (std::int64_t y = low[1]; y <= high[1]; ++y) {
+      for (std::int64_t z = low[2]; z <= high[2]; ++z) {
+        const Range* range = cells.find(x, y, z);
+        if (range == nullptr) continue;
+        count += kernels.near_points(points, p.data(), distance2, range->begin, range->end,
+                                     found + count);
+      }
+    }
+  }
+  return count;
 }
 
 // Vectors that reach past the end of a cell read other points: those are no nearer than the

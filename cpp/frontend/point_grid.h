@@ -30,6 +30,11 @@ class PointGrid {
   template <typename Visit>
   void visit(const Point& p, double radius, Visit&& visit) const;
 
+  // Writes the points within the distance, squared, of p, and returns how many. `radius` is no less
+  // than its root, and `found` has room for all points and kPad more.
+  std::size_t within(const Point& p, double radius, float distance2, std::uint32_t* found) const;
+  static constexpr std::size_t kPad = 16;
+
   // Squared distance to the nearest point, or more than the limit where none is within it.
   float nearest_squared(const Point& p, float limit) const;
   // Whether any point is within the limit.

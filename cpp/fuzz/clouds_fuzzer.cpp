@@ -7,9 +7,9 @@
 #include <stdexcept>
 #include <vector>
 
+#include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
-#include "frontend/voxel.h"
 #include "likelihood/intrusion.h"
 #include "likelihood/point_index.h"
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <new>
 
 #include "common/principal_axes.h"
 
@@ -42,7 +43,10 @@ Surface::Surface(const float* points, std::size_t n, double max_correspondence_d
     : grid_(points, n, std::max(max_correspondence_distance, support)),
       max_correspondence_distance_(max_correspondence_distance),
       support_(support),
-      normals_(new std::atomic<std::uint64_t>[n]()) {}
+      normals_(static_cast<std::atomic<std::uint64_t>*>(
+          std::calloc(std::max<std::size_t>(n, 1), sizeof(std::atomic<std::uint64_t>)))) {
+  if (!normals_) throw std::bad_alloc();
+}
 
 // Most points have another close by: a small neighbourhood is searched first.
 Surface::Nearest Surface::nearest(const PointGrid::Point& p) const {

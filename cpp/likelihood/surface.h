@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <memory>
 
 #include "common/rigid.h"
@@ -45,7 +46,11 @@ class Surface {
 
   PointGrid grid_;
   double max_correspondence_distance_, support_;
-  std::unique_ptr<std::atomic<std::uint64_t>[]> normals_;  // packed; 0: not yet found
+  struct Free {
+    void operator()(std::atomic<std::uint64_t>* values) const { std::free(values); }
+  };
+  // Packed; 0: not yet found. Of a large map only the pages around queries take memory.
+  std::unique_ptr<std::atomic<std::uint64_t>[], Free> normals_;
 };
 
 // How far every `step`-th of the points of a source, taken through a transform, lies off the plane

@@ -1,9 +1,12 @@
 // The table of one instruction set. CMake compiles this file once for each one, with SEGLOC_ISA set
 // to its name and with its flags (simd/instruction_sets.cmake). A new kernel is included here.
+#include "common/cells_kernel.h"
 #include "descriptors/fps_kernel.h"
 #include "descriptors/network/conv_kernel.h"
 #include "descriptors/network/neighbors_kernel.h"
 #include "descriptors/network/xconv_kernel.h"
+#include "descriptors/profile_kernel.h"
+#include "frontend/planes_kernel.h"
 #include "proposals/matching/knn_kernel.h"
 #include "proposals/occupancy/windows_kernel.h"
 #include "proposals/pose/consensus_kernel.h"
@@ -18,8 +21,8 @@ namespace SEGLOC_ISA {
 extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
                         &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
-                        &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                        &add_slices};
+                         &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
+                         &add_slices,     &cell_numbers, &near_points, &sort_lanes};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -52,6 +52,12 @@ const Kernels& kernels(Isa isa) {
   return table != nullptr ? *table : portable::kTable;
 }
 
+const Kernels& best_kernels() {
+  std::size_t best = kIsas - 1;
+  while (!kRows[best].runs) --best;
+  return *kRows[best].table;
+}
+
 Isa parse_isa(const std::string& name) {
   for (std::size_t i = kIsas; i-- > 0;) {
     if (name == "auto" ? kRows[i].runs : name == kRows[i].name) {

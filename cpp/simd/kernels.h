@@ -27,10 +27,11 @@ static constexpr const char* kIsaNames[] = {SEGLOC_ISAS(SEGLOC_NAME_BUILT, SEGLO
 #undef SEGLOC_NAME_MISSING
 
 // One cloud for farthest-point sampling, in scratch memory of the caller: x, y, z and the distance
-// to the set, padded(n, 64) values each, one after another, then fps_group_max_size(n) more.
+// to the set, 64 values a group each, one after another, then fps_group_max_size more.
 struct FpsCloud {
   float* memory;
   int32_t* order;  // receives `samples` indices
+  size_t n, samples;
 };
 
 // Sources and queries of one dilated neighbour search (the queries are the first of the sources).
@@ -68,7 +69,7 @@ struct ConvTask {
   bool rectify;
 };
 
-// Squared distances of up to 4 queries to a tile of database points, fused with the selection.
+// Squared distances of up to 4 queries to a block of database points, fused with the selection.
 struct KnnScan {
   const float* queries[4];
   float thresholds[4];
@@ -77,6 +78,9 @@ struct KnnScan {
   float* distances2[4];
   size_t counts[4];
 };
+
+// Boxes of blocks of descriptors: how many are measured together, and along how many axes.
+static constexpr size_t kBoxRun = 16, kBoxAxes = 8;
 
 // Query and map coordinates of matches, an array for each. Up to 15 values behind the last one may
 // be read.
@@ -91,6 +95,13 @@ struct MatchArrays {
 struct EdgeArrays {
   const float* source[3];
   const float* target[3];
+};
+
+// Points, an array for each coordinate. Up to 15 values behind the last one may be read.
+struct PointArrays {
+  const float* x;
+  const float* y;
+  const float* z;
 };
 
 // Which matches lie near each other in the plane under a pose, in single precision.
@@ -157,6 +168,9 @@ struct TrainKernels {
                         bool activate, const float* coefficients, float* output);
 };
 
+// Lists that are sorted at a time.
+static constexpr size_t kSortLanes = 16;
+
 // Windows of a map that lie side by side.
 static constexpr size_t kWindowRun = 16;
 
@@ -165,13 +179,16 @@ struct Kernels {
   size_t width;  // floats in a vector
   size_t block;  // queries that xconv takes at a time
   size_t panel;  // output channels of a column panel of dense weights
-  void (*fps)(const FpsCloud* clouds, size_t count, size_t n, size_t samples);
+  // Clouds of up to 64 * `groups` points.
+  void (*fps)(const FpsCloud* clouds, size_t count, size_t groups);
   void (*neighbors)(const NeighborTask& task);
   void (*xconv)(const XConvWeights& weights, const XConvTask& task);
   void (*dense)(const DenseWeights& weights, const float* input, size_t input_stride, size_t rows,
                 float* output, size_t output_stride);
   void (*conv)(const ConvTask& task);
-  void (*knn_scan)(const float* tile, size_t blocks, size_t dim, uint32_t first, KnnScan& scan);
+  void (*knn_scan)(const float* block, size_t dim, uint32_t first, KnnScan& scan);
+  // Squared distances from a place to kBoxRun boxes: ends (kBoxAxes, 2, kBoxRun).
+  void (*box_bounds)(const float* boxes, const float* place, float* bounds);
   // Writes the indices of the matches in [begin, end) that pass, and returns how many.
   size_t (*near_pose)(const MatchArrays& f, const PoseTest& test, size_t begin, size_t end,
                       uint32_t* found);
@@ -192,9 +209,21 @@ struct Kernels {
   // `places` of the image.
   void (*add_slices)(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,
                      uint8_t* sums);
+  // floor(values / size), all of which fit 32 bits.
+  void (*cell_numbers)(const float* values, size_t count, double size, int32_t* cells);
+  // Writes the points in [begin, end) within the distance of a place, squared, and returns how
+  // many. Up to 15 values behind them may be written.
+  size_t (*near_points)(const PointArrays& points, const float* place, float distance2,
+                        size_t begin, size_t end, uint32_t* found);
+  // Sorts kSortLanes lists side by side: row i has the i-th value of each. `count` is a power of
+  // two.
+  void (*sort_lanes)(float* rows, size_t count);
 };
 
 const Kernels& kernels(Isa isa);
+
+// Those of the best instruction set that this processor runs.
+const Kernels& best_kernels();
 
 // "auto" is the best one that this processor runs; throws std::invalid_argument for a name that is
 // unknown or not available here.
@@ -205,9 +234,12 @@ static constexpr size_t padded(size_t n, size_t multiple) {
   return (n + multiple - 1) / multiple * multiple;
 }
 static constexpr size_t kFpsGroup = 64;
-// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64.
-static constexpr size_t fps_group_max_size(size_t n) {
-  return padded(padded(n, kFpsGroup) / kFpsGroup * 16, 64);
+static constexpr size_t kFpsFewGroups = 8;  // clouds that are sampled in lockstep have no more
+static constexpr size_t fps_groups(size_t n) { return (n + kFpsGroup - 1) / kFpsGroup; }
+// The largest distances of each group, one vector (of at most 16) a group, in blocks of 64. Of a
+// large cloud: one value a group, and the box of each group.
+static constexpr size_t fps_group_max_size(size_t groups) {
+  return groups > kFpsFewGroups ? 7 * padded(groups, 64) : padded(groups * 16, 64);
 }
 
 }  // namespace segloc

@@ -180,6 +180,34 @@ inline Vec count_before(Vec count, Vec v, Vec x, Vec i, Vec j) {
 
 #endif
 
+#if defined(__AVX512F__)
+// Appends first + i to `found` for each set bit i of the hits; up to 15 values behind are written.
+inline size_t append_fast(uint32_t hits, size_t first, uint32_t* found, size_t count) {
+  const __m512i each =
+      _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  const __m512i index = _mm512_add_epi32(each, _mm512_set1_epi32(static_cast<int>(first)));
+  const auto mask = static_cast<__mmask16>(hits);
+  _mm512_storeu_si512(found + count, _mm512_maskz_compress_epi32(mask, index));
+  return count + count_bits(hits);
+}
+#else
+inline size_t append_fast(uint32_t hits, size_t first, uint32_t* found, size_t count) {
+  for (; hits != 0; hits &= hits - 1) {
+    found[count++] = static_cast<uint32_t>(first) + static_cast<uint32_t>(lowest_bit(hits));
+  }
+  return count;
+}
+#endif
+
+// Appends first + i to `found` for each set bit i of the hits, up to `end`; the new count.
+inline size_t append(uint32_t hits, size_t first, size_t end, uint32_t* found, size_t count) {
+  if (end - first < kWidth) hits &= (1u << (end - first)) - 1u;
+  for (; hits != 0; hits &= hits - 1) {
+    found[count++] = static_cast<uint32_t>(first) + static_cast<uint32_t>(lowest_bit(hits));
+  }
+  return count;
+}
+
 // x for x > 0, exp(x) - 1 otherwise; absolute error below 3e-7. 2^f on [-1/2, 1/2] is a polynomial
 // with a relative error below 1e-7.
 inline Vec elu(Vec x) {

@@ -2,15 +2,51 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/cells.h"
 #include "frontend/cluster.h"
+#include "frontend/gravity.h"
 #include "frontend/ground.h"
-#include "frontend/planes.h"
 #include "frontend/point_grid.h"
-#include "frontend/voxel.h"
 #include "tests/check.h"
 
 namespace segloc {
 namespace {
+
+constexpr double kAxes[] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+
+// Every instruction set finds the same cells, the same neighbours and the same order.
+void kernels_agree(Isa isa) {
+  const Kernels &k = kernels(isa), &portable = kernels(Isa::portable);
+  for (const std::size_t n : kSizes) {
+    const auto values = random_floats(3 * n + 15, -9.0f, 9.0f, 21);
+    std::vector<std::int32_t> cells(n), expected_cells(n);
+    k.cell_numbers(values.data(), n, 0.3, cells.data());
+    portable.cell_numbers(values.data(), n, 0.3, expected_cells.data());
+    CHECK(cells == expected_cells);
+    for (std::size_t i = 0; i < n; ++i) CHECK(cells[i] == std::floor(values[i] / 0.3));
+    const PointArrays points = {values.data(), values.data() + n, values.data() + 2 * n};
+    const float place[] = {1.0f, -2.0f, 0.5f};
+    std::vector<std::uint32_t> near(n + 15), expected_near(n + 15);
+    near.resize(k.near_points(points, place, 30.0f, n / 3, n, near.data()));
+    expected_near.resize(
+        portable.near_points(points, place, 30.0f, n / 3, n, expected_near.data()));
+    CHECK(near == expected_near);
+  }
+  for (const std::size_t count : {1, 2, 8, 128}) {
+    auto rows = random_floats(kSortLanes * count, -1.0f, 1.0f, 22);
+    const auto before = rows;
+    k.sort_lanes(rows.data(), count);
+    for (std::size_t lane = 0; lane < kSortLanes; ++lane) {
+      std::vector<float> found, expected;
+      for (std::size_t i = 0; i < count; ++i) {
+        found.push_back(rows[kSortLanes * i + lane]);
+        expected.push_back(before[kSortLanes * i + lane]);
+      }
+      std::sort(expected.begin(), expected.end());
+      CHECK(found == expected);
+    }
+  }
+}
 
 void clouds() {
   for (const std::size_t n : kSizes) {
@@ -22,6 +58,12 @@ void clouds() {
     digest("voxel_grid", voxels);
     digest("ground", heights);
     CHECK(plane_normals(points.data(), n, {}).size() <= 3 * n);
+    const auto normals = flat_normals(points.data(), n, {});
+    const auto up = fit_vertical(normals.data(), normals.size() / 3, kAxes, 3, {0.1, 0.05});
+    CHECK(std::abs(std::hypot(up[0], up[1], up[2]) - 1.0) < 1e-9);
+    std::vector<float> above, below;
+    split_by_height(points.data(), heights.data(), n, 1.0, above, below);
+    CHECK(above.size() + below.size() == 3 * n);
     const Clusters all = euclidean_clusters(points.data(), n, 1.0, 1, n);
     CHECK(all.points.size() == n && std::size_t(all.offsets.back()) == n);
     digest("clusters", all.points);
@@ -37,6 +79,9 @@ void clouds() {
     const Clusters all = euclidean_clusters(points.data(), n, 1.0, 1, n);
     CHECK(above.points.size() == 2 * n && above.offsets.size() == 2 * all.offsets.size() - 1);
     CHECK(std::equal(all.points.begin(), all.points.end(), above.points.begin()));
+    const Segments segments = segments_of(above, points.data(), heights.data());
+    CHECK(segments.points.size() == 3 * above.points.size());
+    CHECK(segments.centroids.size() == 3 * segments.heights.size());
   }
   CHECK(euclidean_clusters(same.data(), 1000, 0.1, 1, 1000).offsets.size() == 2);
   CHECK(plane_normals(same.data(), 1000, {}).empty());
@@ -90,6 +135,7 @@ void nearest_points() {
 }  // namespace segloc
 
 void segmentation_tests() {
+  for (const segloc::Isa isa : instruction_sets()) segloc::kernels_agree(isa);
   segloc::clouds();
   segloc::nearest_points();
 }

@@ -13,17 +13,29 @@ def heights_above_ground(
 def euclidean_clusters(
     points: NDArray[np.float32], radius: float, min_points: int, max_points: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
-def clusters_above(
+def split_by_height(
+    points: NDArray[np.float32], heights: NDArray[np.float32], cut: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def segments_above(
     points: NDArray[np.float32],
     heights: NDArray[np.float32],
     cuts: Sequence[float],
     radius: float,
     min_points: int,
     max_points: int,
-) -> tuple[NDArray[np.uint32], NDArray[np.int64]]: ...
-def plane_normals(
-    points: NDArray[np.float32], radius: float, min_points: int, thickness: float, most: int
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]: ...
+def flat_normals(
+    points: NDArray[np.float32],
+    range: float,
+    voxel_size: float,
+    radius: float,
+    min_points: int,
+    thickness: float,
+    most: int,
 ) -> NDArray[np.float32]: ...
+def fit_vertical(
+    normals: NDArray[np.float32], directions: NDArray[np.float64], tolerances: Sequence[float]
+) -> NDArray[np.float64]: ...
 def point_spacing(points: NDArray[np.float32], least: float, most: int) -> float: ...
 def pose_votes(
     query: NDArray[np.float64],

@@ -23,15 +23,17 @@ from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query
 from .system.stage_times import Clock, StageTimes
-from .types import Candidate, LocalCloud, Pose
+from .types import Candidate, Float64, LocalCloud, Pose
 
 
 class TileSearch(Protocol):
     """Searches the tiles of a map that a query may be in."""
 
-    def locate(
+    def search(
         self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
-    ) -> Localization: ...
+    ) -> Search: ...
+
+    def around(self, position: Float64) -> Localizer | None: ...
 
 
 class InTiles(Protocol):
@@ -148,6 +150,16 @@ class Localizer:
             raise ConfigError("this needs a map in one piece: a file, and not tiles")
         return self
 
+    def around(self, position: Float64) -> Localizer | None:
+        """Return what holds the map around a (3,) position: of tiles the one there, if any.
+
+        Raises
+        ------
+        MapFormatError
+            If the tile cannot be had; names its file.
+        """
+        return self if self._tile_search is None else self._tile_search.around(position)
+
     def localize(
         self,
         scans: Scans | LocalCloud,
@@ -212,14 +224,15 @@ class Localizer:
     ) -> Localization:
         """The second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
-        if self._tile_search is not None:
-            return self._tile_search.locate(query, times, deadline_ms, near)
         found = self.search(query, times, deadline_ms, near)
         result = answer(query, found, times.with_total())
         if result.localized or not found.posterior.repeats(self.config.verification.min_confidence):
             return result
         one, other = (place.T_map_sensor for place in result.places[:2])
-        return replace(result, next_view=self.likelihood.cloud.next_view(one, other))
+        here = self.around(one[:3, 3])
+        if here is None:
+            return result
+        return replace(result, next_view=here.likelihood.cloud.next_view(one, other))
 
     def search(
         self,
@@ -247,10 +260,15 @@ class Localizer:
         Raises
         ------
         ConfigError
-            If the map is in tiles: these are localized in, one after another.
+            If the map is in tiles, and ``thorough``.
+        MapFormatError
+            If a tile that is needed cannot be had; names its file.
         """
-        self.in_one_piece()
         times = times or StageTimes(self.clock)
+        if self._tile_search is not None:
+            if thorough:
+                self.in_one_piece()
+            return self._tile_search.search(query, times, deadline_ms, near)
         scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
         enough = self.config.verification.min_confidence
         found: Search | None = None

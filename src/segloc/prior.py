@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,16 +10,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import geometry
 from .errors import ConfigError
 from .system.checks import MOST_METRES
 from .types import Candidate, Float64, Int64, Pose
 
-MOST_RADIUS_M = 1e6
+MOST_RADIUS_M, MAX_HEADING_DEG = 1e6, 3600.0
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Rough position of the sensor, from GNSS or the last pose.
+    """Rough position of the sensor and perhaps its heading, from GNSS or the last pose.
 
     Attributes
     ----------
@@ -29,6 +31,10 @@ class Prior:
     anywhere : bool
         True to search the whole map if nothing is found near the prior; the answer may then be
         far from it.
+    heading_deg : float, optional
+        Heading of the sensor: of its x axis, counterclockwise from the map's [deg].
+    heading_tolerance_deg : float
+        Largest difference from that heading [deg].
 
     Raises
     ------
@@ -39,11 +45,15 @@ class Prior:
     position: ArrayLike
     radius_m: float
     anywhere: bool = False
+    heading_deg: float | None = None
+    heading_tolerance_deg: float = 45.0
 
     def __post_init__(self) -> None:
         try:
             position = np.array(self.position, dtype=np.float64)
             radius = float(self.radius_m)
+            heading = None if self.heading_deg is None else float(self.heading_deg)
+            tolerance = float(self.heading_tolerance_deg)
         except (TypeError, ValueError) as error:
             raise ConfigError("a prior is a position (x, y) or (x, y, z) and a radius") from error
         if position.shape not in ((2,), (3,)) or not (np.abs(position) <= MOST_METRES).all():
@@ -52,13 +62,24 @@ class Prior:
             )
         if not 0 < radius <= MOST_RADIUS_M:
             raise ConfigError(f"the radius of a prior is above 0 m, not {self.radius_m!r:.40}")
+        if heading is not None and not abs(heading) <= MAX_HEADING_DEG:
+            raise ConfigError(f"the heading of a prior is degrees, not {self.heading_deg!r:.40}")
+        if not 0 < tolerance <= 180:
+            raise ConfigError(
+                f"the heading tolerance of a prior is 0 to 180 degrees, not {tolerance!r:.40}"
+            )
         position.setflags(write=False)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "radius_m", radius)
+        object.__setattr__(self, "heading_deg", heading)
+        object.__setattr__(self, "heading_tolerance_deg", tolerance)
 
     def __str__(self) -> str:
         where = ", ".join(f"{metres:.0f}" for metres in np.asarray(self.position))
-        return f"within {self.radius_m:g} m of {where}"
+        if self.heading_deg is None:
+            return f"within {self.radius_m:g} m of {where}"
+        heading = f"{self.heading_deg:.0f} +- {self.heading_tolerance_deg:.0f} degrees"
+        return f"within {self.radius_m:g} m of {where}, heading {heading}"
 
     @classmethod
     def of(cls, near: Near | None) -> Prior | None:
@@ -71,12 +92,15 @@ class Prior:
         if near is None or isinstance(near, Prior):
             return near
         try:
-            position, radius_m = near
+            position, radius_m, *heading = near
+            if len(heading) > 1:
+                raise TypeError
         except (TypeError, ValueError) as error:
             raise ConfigError(
-                f"a prior is ((x, y), radius_m) or a segloc.Prior, not {near!r:.60}"
+                "a prior is ((x, y), radius_m), ((x, y), radius_m, heading_deg) or a segloc.Prior, "
+                f"not {near!r:.60}"
             ) from error
-        return cls(position, radius_m)
+        return cls(position, radius_m, heading_deg=heading[0] if heading else None)
 
     def distances(self, positions: Float64) -> Float64:
         """Return the distance of each of (N, 3) positions from the prior [m]."""
@@ -85,8 +109,13 @@ class Prior:
         return found
 
     def holds(self, T_map_sensor: Pose) -> bool:
-        """Return whether a (4, 4) pose is within the radius."""
-        return bool(self.distances(T_map_sensor[None, :3, 3])[0] <= self.radius_m)
+        """Return whether a (4, 4) pose is within the radius, and has about the heading."""
+        if not self.distances(T_map_sensor[None, :3, 3])[0] <= self.radius_m:
+            return False
+        if self.heading_deg is None:
+            return True
+        turn = math.degrees(geometry.heading(T_map_sensor)) - self.heading_deg
+        return abs((turn + 180.0) % 360.0 - 180.0) <= self.heading_tolerance_deg
 
     def rows(self, positions: Float64, reach_m: float) -> Int64:
         """Return the rows of (N, 3) positions within ``reach_m`` of a sensor near the prior."""
@@ -94,8 +123,8 @@ class Prior:
         return np.flatnonzero(flat <= self.radius_m + reach_m)
 
 
-Near: TypeAlias = Prior | tuple[ArrayLike, float]
-"""A prior, or its position and radius in metres."""
+Near: TypeAlias = Prior | tuple[ArrayLike, float] | tuple[ArrayLike, float, float]
+"""A prior, or its position, its radius in metres, and perhaps its heading in degrees."""
 
 
 def allowed(near: Prior | None) -> Callable[[Pose], bool]:

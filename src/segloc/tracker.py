@@ -114,7 +114,7 @@ class Tracker:
     """
 
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
-        self.localizer, self.config = localizer.in_one_piece(), config or TrackerConfig()
+        self.localizer, self.config = localizer, config or TrackerConfig()
         settings = localizer.config
         least, separation = settings.verification.min_confidence, settings.pose.separation
         self.belief = Belief(self.config, least, separation)
@@ -242,11 +242,15 @@ class Tracker:
         scene = localizer.segmenter.segment(cloud)
         if not len(scene.structure):
             return view
-        scan = localizer.likelihood.query(scene)
         T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
-        checks = {}
+        checks, scans = {}, {}
         for key, T_map_odom in request.hypotheses.items():
-            pose = localizer.likelihood.at(scan, T_map_odom @ T_odom_local)
+            here = localizer.around((T_map_odom @ view.T_odom_sensor)[:3, 3])
+            if here is None:
+                continue
+            if here not in scans:
+                scans[here] = here.likelihood.query(scene)
+            pose = here.likelihood.at(scans[here], T_map_odom @ T_odom_local)
             checks[key] = _reading(pose, pose.log_ratio, cloud, view)
         return replace(view, checks=checks)
 

@@ -90,7 +90,6 @@ def test_what_cannot_be_followed_is_refused(
 ) -> None:
     options = ["--map", place / "plaza.segmap", "--out", tmp_path / "out"]
     for more, said in (
-        ([], "needs odometry: --poses FILE or --odometry"),
         (["--poses", place / "truth.tum", "--odometry"], "exclude each other"),
         (["--poses", place / "nowhere.tum"], "no such file"),
     ):

@@ -54,6 +54,13 @@ def test_order_is_the_reference(isa: str, count: int, n: int, samples: int) -> N
     np.testing.assert_array_equal(_native.fps(points, samples, 1, isa), expected)
 
 
+@pytest.mark.parametrize("isa", ISAS)
+def test_ties_of_a_large_cloud(isa: str) -> None:
+    points = np.random.default_rng(5).integers(-6, 7, (2, 900, 3)).astype(np.float32)
+    expected = np.stack([reference(cloud, 880) for cloud in points])
+    np.testing.assert_array_equal(_native.fps(points, 880, 1, isa), expected)
+
+
 @settings(max_examples=15)
 @given(
     arrays.arrays(

@@ -68,20 +68,35 @@ def test_clusters_are_the_connected_components(seed: int, count: int, radius: fl
     st.lists(st.floats(-3, 3), min_size=1, max_size=4),
     st.floats(0.05, 1.5),
 )
-def test_clusters_above_several_heights_are_those_above_each(
+def test_segments_above_several_heights_are_the_clusters_above_each(
     seed: int, count: int, cuts: list[float], radius: float
 ) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(-3, 3, (count, 3)).astype(np.float32)
     heights = (points[:, 2] + rng.uniform(-1, 1, count)).astype(np.float32)
-    members, offsets = _native.clusters_above(points, heights, cuts, radius, 2, 50)
+    members, offsets, centroids, means = _native.segments_above(
+        points, heights, cuts, radius, 2, 50
+    )
     expected = []
     for cut in cuts:
         above = np.flatnonzero(heights > cut)
         rows, ends = _native.euclidean_clusters(points[above], radius, 2, 50)
         expected += [above[rows[a:b]] for a, b in itertools.pairwise(ends)]
     found = [members[a:b] for a, b in itertools.pairwise(offsets)]
-    assert [f.tolist() for f in found] == [e.tolist() for e in expected]
+    assert [f.tolist() for f in found] == [points[e].tolist() for e in expected]
+    for centroid, mean, each in zip(centroids, means, expected, strict=True):
+        np.testing.assert_allclose(centroid, points[each].mean(axis=0, dtype=np.float64))
+        np.testing.assert_allclose(mean, heights[each].mean(dtype=np.float64), rtol=1e-6)
+
+
+def test_points_are_split_by_their_height() -> None:
+    rng = np.random.default_rng(3)
+    for count in (0, 1, 500):
+        points = rng.normal(size=(count, 3)).astype(np.float32)
+        heights = rng.normal(size=count).astype(np.float32)
+        above, below = _native.split_by_height(points, heights, 0.2)
+        np.testing.assert_array_equal(above, points[heights > 0.2])
+        np.testing.assert_array_equal(below, points[heights <= 0.2])
 
 
 def hillside(rng: np.random.Generator, slope: float, count: int = 20_000) -> np.ndarray:

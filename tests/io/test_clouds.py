@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.e57 import e57_file
 
 from segloc import DatasetError, geometry
-from segloc.io import clouds, write_scan
+from segloc.io import clouds, text, write_scan
 from segloc.io.clouds import read_cloud
 from segloc.io.las import format_laz
 from segloc.types import Float64
@@ -37,13 +38,13 @@ def pcd(points: Float64, encoding: str, size: int = 8) -> bytes:
     return head.encode() + rows.tobytes()
 
 
-def ply(points: Float64, text: bool) -> bytes:
-    kind = "ascii" if text else "binary_big_endian"
+def ply(points: Float64, is_text: bool) -> bytes:
+    kind = "ascii" if is_text else "binary_big_endian"
     head = (
         f"ply\nformat {kind} 1.0\nelement vertex {len(points)}\nproperty double x\n"
         "property double y\nproperty double z\nproperty uchar red\nend_header\n"
     )
-    if text:
+    if is_text:
         return (head + "".join(f"{x:.3f} {y:.3f} {z:.3f} 7\n" for x, y, z in points)).encode()
     rows = np.zeros(len(points), [("xyz", ">f8", 3), ("red", "u1")])
     rows["xyz"] = points
@@ -55,28 +56,35 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
     tmp_path: Path, points: Float64, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clouds, "PART", 1000)
+    monkeypatch.setattr(text, "_BLOCK", 40_000)
     there = points + UTM
-    text = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
+    rows = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
     data = {
         "a.pcd": lambda: pcd(there, "binary"),
         "b.pcd": lambda: pcd(there, "ascii"),
-        "a.ply": lambda: ply(there, text=False),
-        "b.ply": lambda: ply(there, text=True),
+        "a.ply": lambda: ply(there, is_text=False),
+        "b.ply": lambda: ply(there, is_text=True),
         "a.laz": lambda: format_laz(there, offset=UTM),
-        "a.xyz": lambda: f"2500\n{text}".encode(),
-        "a.csv": lambda: f"X,Y,Z,i\n{text.replace(' ', ',')}".encode(),
+        "a.xyz": lambda: f"2500\n{rows}".encode(),
+        "a.csv": lambda: f"X,Y,Z,i\n{rows.replace(' ', ',')}".encode(),
     }[name]()
     (tmp_path / name).write_bytes(data)
     parts = list(read_cloud(tmp_path / name))
-    assert len(parts) == 3
+    assert len(parts) >= 3
     assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
 
 
-def test_e57(tmp_path: Path) -> None:
+def test_scans_of_an_e57_file_are_read_where_they_stand(tmp_path: Path, points: Float64) -> None:
     pytest.importorskip("e57")
-    (tmp_path / "a.e57").write_bytes(b"ASTM-E57" + bytes(100))
-    with pytest.raises(DatasetError, match=r"a\.e57: cannot read the E57 file"):
-        read(tmp_path / "a.e57")
+    quarter_turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+    T = geometry.yaw_transform(np.pi / 2, (UTM[0], UTM[1], UTM[2]))
+    inside = geometry.transform(geometry.inverse(T), points[100:])
+    scans = (points[:100], (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (inside, quarter_turn, (*UTM,))
+    (tmp_path / "a.e57").write_bytes(e57_file(*scans))
+    assert np.abs(read(tmp_path / "a.e57") - points).max() < 1e-6
+    (tmp_path / "b.e57").write_bytes(b"ASTM-E57" + bytes(100))
+    with pytest.raises(DatasetError, match=r"b\.e57: cannot read the E57 file"):
+        read(tmp_path / "b.e57")
 
 
 def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
@@ -119,6 +127,7 @@ def test_results_of_kiss_slam(tmp_path: Path, points: Float64) -> None:
         ("b.pcd", pcd(np.ones((50, 3)), "binary")[:-9], "cut off"),
         ("a.ply", b"ply\n", "header"),
         ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
+        ("c.pcd", pcd(np.ones((50, 3)), "ascii")[:-40], "50 points, but there are"),
         ("a.laz", b"LASF" + bytes(300), "cannot decode"),
         ("a.doc", b"text", "not a point cloud"),
     ],

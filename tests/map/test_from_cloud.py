@@ -50,12 +50,14 @@ def test_the_order_and_the_parts_of_a_cloud_do_not_matter(site: SegmentMap, plaz
     assert len(other.cloud) == pytest.approx(len(site.cloud), rel=0.01)
 
 
-def test_free_space_is_known_along_a_trajectory_alone(site: SegmentMap, plaza: Plaza) -> None:
+def test_free_space_is_known_along_a_trajectory_and_on_free_ground(
+    site: SegmentMap, plaza: Plaza
+) -> None:
     walk = PlazaSequence(plaza, 6)
     measured = SegmentMap.from_cloud(plaza.points, CONFIG, trajectory=walk.poses)
-    assert len(site.trajectory) and not len(site.sensor_positions)
     assert len(measured.sensor_positions) == len(walk)
-    assert not len(site.merge(measured).sensor_positions)
+    assert len(site.sensor_positions) == len(site.trajectory) > 0
+    assert len(site.merge(measured).sensor_positions)
 
 
 def test_viewpoints_stand_on_the_ground_of_every_storey_and_not_on_the_roof() -> None:
@@ -94,6 +96,7 @@ def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
     poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
     site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG)
     assert len(site) and len(site.trajectory) > 1
+    assert not len(site.sensor_positions)
 
 
 def test_what_is_no_cloud_is_refused() -> None:

@@ -53,6 +53,20 @@ def test_far_from_the_origin() -> None:
     check(database[:20] + np.float32(0.01), database, 30)
 
 
+@pytest.mark.parametrize("isa", ["portable", "auto"])
+@pytest.mark.parametrize("dim", [3, 32])
+def test_blocks_that_are_skipped_hold_no_neighbour(isa: str, dim: int) -> None:
+    """Clusters, copies, an offset and values that dwarf all others, in a database with boxes."""
+    rng = np.random.default_rng(dim)
+    centres = 30 + 3 * rng.normal(size=(40, dim))
+    database = centres[rng.integers(0, 40, 6000)] + rng.normal(size=(6000, dim))
+    database[1000:1100] = database[0]
+    database[7] *= 1e5
+    queries = np.vstack([database[:60], centres[:4], np.zeros((1, dim))]).astype(np.float32)
+    for k in (1, 25, 150):
+        check(queries, database.astype(np.float32), k, isa)
+
+
 def test_fewer_points_than_neighbours() -> None:
     rng = np.random.default_rng(2)
     queries = rng.normal(size=(4, 16)).astype(np.float32)

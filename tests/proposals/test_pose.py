@@ -244,3 +244,29 @@ def test_rigid_fit_of_three_points_is_exact() -> None:
     )  # fmt: skip
     assert inliers.tolist() == [3]
     np.testing.assert_allclose(poses[0], T, atol=1e-9)
+
+
+@pytest.mark.parametrize("spread_m", [0.0, 30.0, 3000.0])
+def test_agreement_counts_the_objects_that_fit_anywhere(spread_m: float) -> None:
+    """Far matches are skipped, and never one that fits: as by measuring all of them."""
+    rng = np.random.default_rng(3)
+    query = rng.uniform(-40, 40, (80, 3))
+    T = geometry.yaw_transform(1.0, (spread_m / 2, -5.0, 1.0))
+    place = rng.uniform(-1, 1, (2000, 3)) * [spread_m, 50, 2]
+    place[:80] = geometry.transform(T, query) + rng.normal(0, 0.3, (80, 3))
+    rows, columns = np.arange(4000) % 80, rng.integers(0, 2000, 4000)
+    columns[:80] = np.arange(80)
+    none = np.zeros(4000, np.float32)
+    config = PoseConfig()
+    agreement = PoseEstimator(config).agreement(query, place, Matches(rows, columns, none, none))
+    near = np.linalg.norm(query[:, None, :2] - query[:, :2], axis=2) < config.distinct_radius
+    objects = np.arange(80)
+    for k in range(80):
+        objects[k] = objects[near[k].argmax()] if near[k].argmax() < k else k
+    for x in (0.0, 0.4, 20.0, 1e4):
+        moved = T.copy()
+        moved[0, 3] += x
+        off = place[columns] - geometry.transform(moved, query[rows])
+        fits = np.hypot(off[:, 0], off[:, 1]) < config.inlier_tolerance
+        fits &= np.abs(off[:, 2]) < config.height_tolerance
+        assert agreement(moved) == len(np.unique(objects[rows[fits]]))

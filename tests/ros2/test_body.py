@@ -9,7 +9,7 @@ from samples.ros_drive import MOUNT, T_MAP_ODOM, Listener, on_tf_static
 from samples.streams import walked
 from segloc_ros.core.body import Body
 from segloc_ros.core.frames import Transform, pose_of, position_and_quaternion
-from segloc_ros.core.replies import InitialPose, MapToOdom, PoseReply
+from segloc_ros.core.replies import InitialPose, MapToOdom, OdometryReply, PoseReply
 from segloc_ros.core.settings import Settings
 from segloc_ros.core.transforms import TransformTree
 
@@ -142,3 +142,25 @@ def test_a_robot_that_stands_needs_no_odometry(localizer: Localizer, plaza: Plaz
     assert np.linalg.norm((geometry.inverse(truth) @ told.pose.T_map_base)[:3, 3]) < 0.3
     with pytest.raises(ConfigError, match="odometry none"):
         Settings.of({"odometry": "none", "mode": "tf"})
+
+
+def test_lidar_alone_gives_odometry_and_poses(localizer: Localizer, plaza: Plaza) -> None:
+    pytest.importorskip("kiss_icp")
+    listener = Listener.of(None, odometry="kiss-icp")
+    on_tf_static(listener.robot)
+    walk = list(walked(plaza, 30, step=0.5, every_s=0.1))
+    lidar_base = geometry.inverse(MOUNT)
+    for k, (events, T_map_lidar) in enumerate(walk):
+        if k == 10:
+            listener.robot.use(localizer)  # odometry does not wait for the map
+        listener.cloud(events[1].stamp, events[1].scan.points)
+        truth = T_map_lidar @ lidar_base
+    told = listener.of_kind(OdometryReply)
+    assert [t.transform.stamp for t in told] == [events[1].stamp for events, _ in walk]
+    assert (told[-1].transform.parent, told[-1].transform.child) == ("odom", "base_link")
+    off = geometry.inverse(walk[0][1] @ lidar_base) @ truth
+    moved = geometry.inverse(told[0].transform.T_parent_child) @ told[-1].transform.T_parent_child
+    assert np.linalg.norm((geometry.inverse(off) @ moved)[:3, 3]) < 0.3
+    assert np.linalg.norm(told[-1].linear) == pytest.approx(5.0, abs=1.0)
+    T = listener.of_kind(PoseReply)[-1].T_map_base
+    assert np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]) < 0.3

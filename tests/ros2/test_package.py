@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -47,6 +48,14 @@ def test_the_parameters_file_holds_every_default() -> None:
     for other in (ROS2 / "segloc_ros" / "config").glob("*.yaml"):
         values = yaml.safe_load(other.read_text("utf-8"))["/**"]["ros__parameters"]
         Settings.of(values)
+
+
+def test_packages_have_the_version_of_the_product() -> None:
+    project = (PROJECT / "pyproject.toml").read_text("utf-8")
+    (version,) = re.findall('^version = "(.*)"', project, re.MULTILINE)
+    for file in (*ROS2.glob("*/package.xml"), *ROS2.glob("*/setup.py")):
+        found = re.search('<version>(.*)<|version="([0-9].*)",', file.read_text("utf-8"))
+        assert version in found.groups(), file
 
 
 def test_wrong_parameters_are_named() -> None:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from samples.plaza import Plaza
 from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
+from samples.streams import walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, diagnose
-from segloc_ros.core.replies import InitialPose, MapToOdom, MatchesReply, PoseReply
+from segloc_ros.core.replies import CandidatesReply, InitialPose, MapToOdom, MatchesReply, PoseReply
 
 from segloc import ConfigError, Localizer, Prior, geometry
+from segloc.map.georeference import KEY, Georeference
 from segloc.types import Pose
+
+HERE = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
 
 
 def off(T: Pose, truth: Pose) -> float:
@@ -153,6 +161,41 @@ def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> N
     assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.5
 
 
+def fix(xyz: tuple[float, float, float], sigma_m: float) -> Any:
+    """sensor_msgs/NavSatFix at a position of the georeferenced map."""
+    longitude, latitude, altitude = HERE.on_globe(np.array([xyz]))[0]
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
+        status=SimpleNamespace(status=0), longitude=longitude, latitude=latitude,
+        altitude=altitude, position_covariance=(np.eye(3) * sigma_m**2).ravel(),
+        position_covariance_type=2,
+    )  # fmt: skip
+
+
+def test_gnss_says_where_to_search_first_and_a_wrong_fix_is_survived(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    pytest.importorskip("pyproj")
+    for position, begin in (((-14.0, 1.0, 0.0), -14.0), ((16.0, 4.0, 0.0), -14.0)):
+        listener = Listener.of(localizer, fix_topic="fix", mode="initialpose", matches=False)
+        on_tf_static(listener.robot)
+        listener.robot.on_fix(fix(position, 1.0))
+        listener.walk(plaza, 1, begin=(begin, 1.0))
+        assert "missing fix" in diagnose(listener.robot).values  # the map has no georeference
+        localizer.prior_map.metadata[KEY] = HERE.to_text()
+        try:
+            listener.robot.relocalize()
+            listener.robot.on_fix(fix(position, 1.0))
+            truth = listener.walk(plaza, 2, start_s=101.0, begin=(begin, 1.0), step=0.5)
+        finally:
+            del localizer.prior_map.metadata[KEY]
+        assert "missing fix" not in diagnose(listener.robot).values
+        assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+        places = listener.of_kind(CandidatesReply)[-1].places
+        assert off(places[0][0], truth) < 1.0 and places[0][1] > 0.9
+        assert float(diagnose(listener.robot).values["candidates"].split()[0]) > 0.9
+
+
 def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(
     localizer: Localizer, plaza: Plaza
 ) -> None:
@@ -211,6 +254,20 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     assert listener.of_kind(InitialPose)
 
 
+def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, trigger="until_localized", click_radius_m=5.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    listener.robot.switch(localizer, np.eye(4))
+    assert listener.robot.T_map_odom is None
+    listener.clear()
+    truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
+    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
+    assert listener.robot.trigger.resting
+
+
 def test_an_answer_in_a_map_that_was_replaced_is_passed_over(
     localizer: Localizer, plaza: Plaza
 ) -> None:
@@ -250,10 +307,38 @@ def test_clouds_of_two_lidars_on_one_topic_are_not_mixed(
     listener.walk(plaza, 2)
     core = listener.robot.core
     listener.cloud(101.5, np.ones((50, 3)), "rear")
-    assert "clouds in rear and in os_sensor" in diagnose(listener.robot).message
+    assert "clouds in rear and in os_sensor on one topic" in diagnose(listener.robot).message
     assert listener.robot.core is core
     listener.cloud(110.0, np.ones((50, 3)), "rear")  # the other has fallen silent
     assert listener.robot.core is not core
+
+
+def test_clouds_of_two_lidars_are_merged_by_mounts_and_stamps(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """Each sees half of the surroundings, the rear one 50 ms later; at last it falls silent."""
+    rear = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
+    listener = Listener.of(localizer, more_points_topics=["rear"])
+    on_tf_static(listener.robot)
+    on_tf_static(listener.robot, rear, "rear_lidar")
+    lidar_base = geometry.inverse(MOUNT)
+    for k, (events, T_map_lidar) in enumerate(walked(plaza, 8, every_s=0.5)):
+        truth = T_map_lidar @ lidar_base
+        later = truth @ geometry.yaw_transform(0.0, (0.2, 0.0, 0.0))
+        halves = []
+        for T, mount in ((truth, MOUNT), (later, rear)):
+            points = plaza.scan(T @ mount, posed=False, seed=k).points
+            halves.append(points[(points @ mount[:2, :3].T[:, 0] > 0) == (mount is MOUNT)])
+        before, main, behind = events
+        listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
+        listener.cloud(main.stamp, halves[0])
+        if k < 6:
+            listener.cloud(main.stamp + 0.05, halves[1], "rear_lidar", "rear")
+        listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+        if k == 5:
+            error = off(listener.of_kind(PoseReply)[-1].T_map_base, truth)
+    assert error < 0.3 and listener.robot.core.scans == 7  # the last one still waits
+    assert "no clouds of rear" in diagnose(listener.robot).message
 
 
 def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
@@ -268,3 +353,25 @@ def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
     listener.robot.quiet(3.0)
     told = diagnose(listener.robot)
     assert told.level is Level.WARN and "no data received for 3.0 s" in told.message
+
+
+def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """Odometry steps by 1 m, too little to be noticed as a jump: the correction takes seconds."""
+    rate = {"smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0, "mode": "tf"}
+    listener = Listener.of(localizer, smooth_tf=True, **rate)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3, step=0.5)
+    listener.clear()
+    slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.7, 0.0, 0.0))
+    truth = listener.walk(plaza, 6, start_s=103.0, begin=(-12.0, 1.3), step=0.5, T_map_odom=slipped)
+    sent = [reply.transform for reply in listener.of_kind(MapToOdom)]
+    for a, b in pairwise(sent):
+        moved = np.linalg.norm((b.T_parent_child - a.T_parent_child)[:3, 3])
+        assert moved < 0.1 * (b.stamp - a.stamp) + 0.05
+    pose = listener.of_kind(PoseReply)[-1]
+    error = off(pose.T_map_base, truth)
+    assert (
+        0.1 < error < 0.8 and np.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1]) > 0.5 * error
+    )

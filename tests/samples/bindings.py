@@ -74,11 +74,17 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "heights_above_ground", Call(_native.heights_above_ground, ground)
     clusters = {"points": points, "radius": 0.5, "min_points": 2, "max_points": 500}
     yield "euclidean_clusters", Call(_native.euclidean_clusters, clusters)
-    above = {"points": points, "heights": points[:, 2].copy(), "cuts": [0.6, 1.2]}
-    above |= {"radius": 0.5, "min_points": 2, "max_points": 500}
-    yield "clusters_above", Call(_native.clusters_above, above)
-    planes = {"points": points, "radius": 3.0, "min_points": 4, "thickness": 0.5, "most": 300}
-    yield "plane_normals", Call(_native.plane_normals, planes)
+    high = {"points": points, "heights": points[:, 2].copy()}
+    yield "split_by_height", Call(_native.split_by_height, high | {"cut": 0.4})
+    above = high | {"cuts": [0.6, 1.2], "radius": 0.5, "min_points": 2, "max_points": 500}
+    yield "segments_above", Call(_native.segments_above, above)
+    flat = {"points": points, "range": 30.0, "voxel_size": 0.1, "radius": 3.0, "min_points": 4}
+    flat |= {"thickness": 0.5, "most": 300}
+    yield "flat_normals", Call(_native.flat_normals, flat)
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    vertical = {"normals": axes.astype(np.float32), "directions": axes}
+    vertical |= {"tolerances": [0.1, 0.05]}
+    yield "fit_vertical", Call(_native.fit_vertical, vertical)
     spacing = {"points": points, "least": 0.1, "most": 128}
     yield "point_spacing", Call(_native.point_spacing, spacing)
 
@@ -309,8 +315,10 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "voxel_grid",
         "heights_above_ground",
         "euclidean_clusters",
-        "clusters_above",
-        "plane_normals",
+        "split_by_height",
+        "segments_above",
+        "flat_normals",
+        "fit_vertical",
         "point_spacing",
     ),
     _local_clouds: (

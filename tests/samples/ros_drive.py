@@ -58,8 +58,10 @@ class Listener:
     def transforms(self, transforms: list[Transform]) -> None:
         self._hear(self.robot.on_transforms(transforms, False))
 
-    def cloud(self, stamp: float, points: Float64, frame: str = LIDAR) -> None:
-        self._hear(self.robot.on_cloud(cloud_of(points), stamp, frame))
+    def cloud(
+        self, stamp: float, points: Float64, frame: str = LIDAR, topic: str = "points"
+    ) -> None:
+        self._hear(self.robot.on_cloud(cloud_of(points), stamp, frame, topic))
 
     def walk(self, plaza: Plaza, count: int, T_base_lidar: Pose = MOUNT, **options: Any) -> Pose:
         """Walk as :func:`samples.streams.walked`; the true pose of the base at the end."""

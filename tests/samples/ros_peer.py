@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -23,11 +23,12 @@ from segloc_ros.messages import (
     cloud_out,
     pose_in,
     seconds,
+    set_pose,
     time_of,
     transform_in,
     transform_out,
 )
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -39,6 +40,7 @@ from .plaza import Plaza
 from .ros_drive import BASE, LIDAR, MOUNT, ODOM
 from .streams import T_MAP_ODOM, walked
 
+REAR = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _HEARD = {
     "pose": (PoseWithCovarianceStamped, "/segloc/pose", 10),
@@ -47,6 +49,8 @@ _HEARD = {
     "matches": (MarkerArray, "/segloc/matches", 10),
     "diagnostics": (DiagnosticArray, "/diagnostics", 10),
     "tf": (TFMessage, "/tf", 100),
+    "candidates": (PoseArray, "/segloc/candidates", 10),
+    "odom": (Odometry, "/odom", 100),
 }
 
 
@@ -69,6 +73,8 @@ class Peer(Node):
         for name in _HEARD:
             self.listen(name)
         self._points = self.create_publisher(PointCloud2, "/points", 5)
+        self._rear = self.create_publisher(PointCloud2, "/rear", 5)
+        self.fix = self.create_publisher(NavSatFix, "/fix", 5)
         self._odom = self.create_publisher(Odometry, "/odom", 50)
         self._tf_static = self.create_publisher(TFMessage, "/tf_static", LATCHED)
         self.click = self.create_publisher(PoseWithCovarianceStamped, "/segloc/click", 1)
@@ -112,12 +118,15 @@ class Peer(Node):
         return {v.key: v.value for v in newest[0].status[0].values} if newest else {}
 
     def tell_mount(self) -> None:
-        mount = transform_out(Transform(0.0, BASE, LIDAR, MOUNT))
-        self._tf_static.publish(TFMessage(transforms=[mount]))
+        mounts = {LIDAR: MOUNT, "rear_lidar": REAR}
+        told = [transform_out(Transform(0.0, BASE, name, T)) for name, T in mounts.items()]
+        self._tf_static.publish(TFMessage(transforms=told))
 
-    def ready(self) -> None:
+    def ready(self, odometry: bool = True) -> None:
         """Wait until the node's ends of the topics are there."""
-        ends = (self._points, self._odom, self._tf_static)
+        ends = [self._points, self._tf_static]
+        if odometry:
+            self.until(lambda: self._odom.get_subscription_count() > 1, 60.0)  # ours, too
         self.until(lambda: all(end.get_subscription_count() for end in ends), 60.0)
 
     def send_cloud(self, stamp: float, points: Float32) -> None:
@@ -132,18 +141,31 @@ class Peer(Node):
         q.x, q.y, q.z, q.w = xyzw
         self._odom.publish(message)
 
-    def walk(self, count: int, **options: Any) -> Pose:
-        """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base."""
+    def walk(
+        self, count: int, *, odometry: bool = True, rear: bool = False, **options: Any
+    ) -> Pose:
+        """Walk on in time, as :func:`samples.streams.walked`; the true pose of the base.
+
+        With ``rear`` the cloud is that of two LiDARs, half of it each.
+        """
         lidar_base, truth = geometry.inverse(MOUNT), np.eye(4)
         self.now += 1.0
         for events, T_map_lidar in walked(self.plaza, count, start_s=self.now, **options):
             truth = T_map_lidar @ lidar_base
             for event in events:
                 if event.scan is None:
-                    self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
+                    if odometry:
+                        self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
+                        self.spin(0.05)
                 else:
-                    self.send_cloud(event.stamp, event.scan.points)
-                self.spin(0.05)
+                    points = event.scan.points
+                    if rear:
+                        behind = geometry.transform(geometry.inverse(REAR) @ MOUNT, points[1::2])
+                        message = cloud_out(behind, "rear_lidar", time_of(event.stamp))
+                        self._rear.publish(message)
+                        points = points[::2]
+                    self.send_cloud(event.stamp, points)
+                    self.spin(0.05)
             self.now = events[1].stamp
             self.spin(0.25)
         return truth
@@ -177,6 +199,17 @@ class Peer(Node):
 
         self.until(answered, 60.0)
         return next(call.result() for call in calls if call.done())
+
+    def load_map(self, path: Path, T_new_old: Pose | None = None) -> Any:
+        """Call the service; its response. With a pose, search near the last one first."""
+        from segloc_msgs.srv import LoadMap
+
+        client = self.create_client(LoadMap, "/segloc/load_map")
+        self.until(client.service_is_ready, 60.0)
+        request = LoadMap.Request(map_url=str(path), near=T_new_old is not None)
+        if T_new_old is not None:
+            set_pose(request.old_in_new, T_new_old)
+        return self.ask(client, request, again_s=10.0)
 
     def relocalize(self) -> Any:
         """Call the service; a future."""

@@ -34,24 +34,25 @@ def walked(
     start_s: float = 100.0,
     T_map_odom: Pose = T_MAP_ODOM,
     carried: Pose | None = None,
+    every_s: float = 1.0,
 ) -> Iterator[tuple[list[Event], Pose]]:
-    """A scan a second, with odometry before and behind it, and the true pose.
+    """A scan every so often, with odometry before and behind it, and the true pose.
 
     With ``carried`` the robot is elsewhere than its odometry says: moved by that, in the map.
     """
     T_odom_map = geometry.inverse(T_map_odom)
     moved = np.eye(4) if carried is None else carried
     for k in range(count):
-        stamp = start_s + k
+        stamp = start_s + every_s * k
         poses = [_at(begin, k + dt, step) for dt in (-0.2, 0.0, 0.2)]
         truth = moved @ poses[1]
         scan = plaza.scan(truth, posed=False, seed=k)
         before, _, behind = (T_odom_map @ T for T in poses)
         yield (
             [
-                Event(stamp - 0.2, T_odom_base=before),
+                Event(stamp - 0.2 * every_s, T_odom_base=before),
                 Event(stamp, Scan(scan.points)),
-                Event(stamp + 0.2, T_odom_base=behind),
+                Event(stamp + 0.2 * every_s, T_odom_base=behind),
             ],
             truth,
         )

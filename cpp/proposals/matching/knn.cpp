@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <utility>
 
 #include "common/parallel.h"
@@ -11,9 +12,10 @@
 namespace segloc {
 namespace {
 
-constexpr std::size_t kGroup = 4;          // queries that a scan takes together
-constexpr std::size_t kQueryBatch = 16;    // queries that share a tile while it is in cache
-constexpr std::size_t kTileFloats = 2048;  // 8 KiB: thresholds fall soon, and all stays in L1
+constexpr std::size_t kGroup = 4;        // queries that a scan takes together
+constexpr std::size_t kQueryBatch = 16;  // queries that share a block while it is in cache
+
+constexpr std::size_t kBoxedQueries = 64;  // of a single search for which boxes pay
 
 constexpr std::size_t kSelectedBytes = std::size_t{1} << 28;  // of a worker's selections, at most
 
@@ -23,10 +25,11 @@ constexpr int kRounds = 8;            // of k-means
 }  // namespace
 
 DescriptorIndex::DescriptorIndex(const float* database, std::size_t count, std::size_t dim,
-                                 std::size_t lists, Isa isa, int threads)
+                                 std::size_t lists, Isa isa, int threads, bool boxes)
     : database_(database),
       count_(count),
       dim_(dim),
+      boxed_(boxes),
       kernels_(kernels(isa)),
       lanes_(2 * kernels_.width) {
   divide(std::max<std::size_t>(1, std::min(lists, count)), threads);
@@ -88,6 +91,17 @@ void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
   ids_.assign(starts_.back(), static_cast<uint32_t>(count_));
   std::vector<std::size_t> next(starts_.begin(), starts_.end() - 1);
   for (std::size_t i = 0; i < count_; ++i) ids_[next[list_of[i]]++] = static_cast<uint32_t>(i);
+  group_starts_.assign(1, 0);
+  for (std::size_t list = 0; list < lists; ++list) {
+    const std::size_t blocks = (starts_[list + 1] - starts_[list]) / lanes_;
+    group_starts_.push_back(group_starts_.back() + (blocks + kBoxRun - 1) / kBoxRun);
+  }
+  if (boxed_) axes_ = DescriptorAxes(database_, count_, dim_);
+  if (!axes_.empty()) {
+    std::vector<float> projections(count_ * kBoxAxes);
+    farthest_ = axes_.project(database_, count_, threads, projections.data());
+    bound(projections.data(), threads);
+  }
   packed_ = AlignedFloats(starts_.back() * dim_);
   parallel_for(starts_.back() / lanes_, 64, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t i = begin * lanes_; i < end * lanes_; ++i) {
@@ -95,6 +109,22 @@ void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
       const float* row = ids_[i] < count_ ? database_ + ids_[i] * dim_ : nullptr;
       for (std::size_t d = 0; d < dim_; ++d) {
         column[d * lanes_] = row ? row[d] : std::numeric_limits<float>::infinity();
+      }
+    }
+  });
+}
+
+// Rows that lie near each other share a block.
+void DescriptorIndex::bound(const float* projections, int threads) {
+  boxes_.resize(group_starts_.back());
+  parallel_for(sizes_.size(), 1, threads, [&](std::size_t begin, std::size_t end, int) {
+    for (std::size_t list = begin; list < end; ++list) {
+      uint32_t* const ids = ids_.data() + starts_[list];
+      order_by_place(projections, lanes_, ids, ids + sizes_[list]);
+      for (std::size_t i = 0; i < sizes_[list]; ++i) {
+        const std::size_t block = i / lanes_;
+        boxes_.add(group_starts_[list] + block / kBoxRun, block % kBoxRun,
+                   projections + std::size_t{ids[i]} * kBoxAxes);
       }
     }
   });
@@ -134,52 +164,149 @@ std::vector<std::vector<uint32_t>> DescriptorIndex::probed(const float* queries,
   return chosen;
 }
 
+// The search of some queries together: those that read a block share it while it is in cache.
+class DescriptorIndex::Search {
+ public:
+  Search(const DescriptorIndex& index, const float* queries, std::size_t count,
+         std::size_t columns)
+      : index_(index),
+        points_{index.database_, index.count_, index.dim_, index.ids_.data()},
+        selections_(count, Selection(columns, index.lanes_)),
+        near_(count * kBoxAxes),
+        first_(count) {
+    for (std::size_t q = 0; q < count; ++q) selections_[q].start(queries + q * index.dim_);
+    if (index.axes_.empty()) return;
+    const float farthest = index.axes_.project(queries, count, 1, near_.data());
+    slack_ = 1e-6f * (farthest + index.farthest_);
+  }
+
+  // Reads the lists that were chosen for each query. The blocks about it come first, so that those
+  // after them meet a bound.
+  void read(const std::vector<std::vector<uint32_t>>& chosen, std::size_t columns) {
+    const std::size_t groups = 1 + kFirstRows * columns / (kBoxRun * index_.lanes_);
+    for (uint32_t q = 0; q < chosen.size(); ++q) first_[q] = first_groups(q, chosen[q][0], groups);
+    std::vector<uint32_t> members(chosen.size());
+    std::iota(members.begin(), members.end(), 0u);
+    std::sort(members.begin(), members.end(),
+              [&](uint32_t a, uint32_t b) { return first_[a].begin < first_[b].begin; });
+    for (std::size_t begin = 0, end = 0; begin < members.size(); begin = end) {
+      const Range& range = first_[members[begin]];
+      while (end < members.size() && first_[members[end]].begin == range.begin) ++end;
+      for (std::size_t group = range.begin; group < range.end; ++group) {
+        for (std::size_t m = begin; m < end; ++m) enter(range.list, group, members[m], true);
+        scan(range.list, group);
+      }
+    }
+    std::vector<std::vector<uint32_t>> visits(index_.lists());
+    for (uint32_t q = 0; q < chosen.size(); ++q) {
+      for (const uint32_t list : chosen[q]) visits[list].push_back(q);
+    }
+    for (std::size_t list = 0; list < visits.size(); ++list) {
+      if (visits[list].empty()) continue;
+      for (std::size_t group = index_.group_starts_[list]; group < index_.group_starts_[list + 1];
+           ++group) {
+        for (const uint32_t q : visits[list]) {
+          if (group < first_[q].begin || group >= first_[q].end) enter(list, group, q, false);
+        }
+        scan(list, group);
+      }
+    }
+  }
+
+  void finish(std::size_t q, int64_t* indices, float* distances) {
+    selections_[q].finish(points_, indices, distances);
+  }
+
+ private:
+  static constexpr std::size_t kFirstRows = 4;  // a neighbour wanted, before anything is skipped
+
+  struct Range {  // of groups, in a list
+    std::size_t list = 0, begin = 0, end = 0;
+  };
+
+  std::size_t blocks_of(std::size_t list, std::size_t group) const {
+    const std::size_t all = (index_.starts_[list + 1] - index_.starts_[list]) / index_.lanes_;
+    return std::min(kBoxRun, all - (group - index_.group_starts_[list]) * kBoxRun);
+  }
+
+  // The groups of a list about the block that is nearest to a query.
+  Range first_groups(uint32_t q, std::size_t list, std::size_t groups) const {
+    const std::size_t begin = index_.group_starts_[list], end = index_.group_starts_[list + 1];
+    std::size_t nearest = begin;
+    float least = std::numeric_limits<float>::infinity(), bounds[kBoxRun];
+    for (std::size_t group = begin; group < end && !index_.axes_.empty(); ++group) {
+      index_.kernels_.box_bounds(index_.boxes_.group(group), near_.data() + q * kBoxAxes, bounds);
+      for (const float bound : bounds) {
+        if (bound < least) least = bound, nearest = group;
+      }
+    }
+    const std::size_t from = begin + (nearest - begin) / groups * groups;
+    return {list, from, std::min(from + groups, end)};
+  }
+
+  // Enters a query at the blocks of a group that it has to read.
+  void enter(std::size_t list, std::size_t group, uint32_t q, bool all) {
+    const std::size_t blocks = blocks_of(list, group);
+    if (all || index_.axes_.empty()) {
+      for (std::size_t block = 0; block < blocks; ++block) visitors_[block].push_back(q);
+      return;
+    }
+    const float reach = std::sqrt(selections_[q].threshold()) * (1.0f + 1e-4f) + slack_;
+    float bounds[kBoxRun];
+    index_.kernels_.box_bounds(index_.boxes_.group(group), near_.data() + q * kBoxAxes, bounds);
+    for (std::size_t block = 0; block < blocks; ++block) {
+      if (bounds[block] <= reach * reach) visitors_[block].push_back(q);
+    }
+  }
+
+  // Reads the blocks of a group for those that were entered, kGroup of them together.
+  void scan(std::size_t list, std::size_t group) {
+    const std::size_t first = index_.starts_[list] +
+                              (group - index_.group_starts_[list]) * kBoxRun * index_.lanes_;
+    for (std::size_t block = 0; block < blocks_of(list, group); ++block) {
+      std::vector<uint32_t>& visitors = visitors_[block];
+      const std::size_t at = first + block * index_.lanes_;
+      for (std::size_t begin = 0; begin < visitors.size(); begin += kGroup) {
+        const std::size_t count = std::min(kGroup, visitors.size() - begin);
+        KnnScan scan;
+        for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
+          selections_[visitors[begin + std::min(i, count - 1)]].offer(scan, i);
+          if (i >= count) scan.thresholds[i] = -1.0f;
+        }
+        index_.kernels_.knn_scan(index_.packed_.data() + at * index_.dim_, index_.dim_,
+                                 static_cast<uint32_t>(at), scan);
+        for (std::size_t i = 0; i < count; ++i) {
+          selections_[visitors[begin + i]].take(scan.counts[i], points_);
+        }
+      }
+      visitors.clear();
+    }
+  }
+
+  const DescriptorIndex& index_;
+  Points points_;
+  std::vector<Selection> selections_;
+  std::vector<float> near_;  // projections of the queries
+  std::vector<Range> first_;
+  float slack_ = 0.0f;  // what rounding can add to a projected distance
+  std::vector<uint32_t> visitors_[kBoxRun];
+};
+
 void DescriptorIndex::search(const float* queries, std::size_t query_count, std::size_t columns,
                              std::size_t probes, int threads, int64_t* indices,
                              float* distances) const {
   if (query_count == 0 || columns == 0) return;
-  const std::size_t tile_points = std::max(lanes_, kTileFloats / dim_ / lanes_ * lanes_);
-  const Points points{database_, count_, dim_, ids_.data()};
   const auto workers = static_cast<std::size_t>(resolve_threads(threads));
-  // Queries that probe the same list share its tiles while they are in cache.
+  const bool shared = lists() > 1 || !axes_.empty();
   const std::size_t wanted =
-      lists() == 1 ? kQueryBatch : std::max(kQueryBatch, (query_count + workers - 1) / workers);
-  const std::size_t fits = kSelectedBytes / Selection::bytes(columns, tile_points);
+      shared ? std::max(kQueryBatch, (query_count + workers - 1) / workers) : kQueryBatch;
+  const std::size_t fits = kSelectedBytes / Selection::bytes(columns, lanes_);
   const std::size_t batch = std::clamp<std::size_t>(wanted, 1, std::max<std::size_t>(fits, 1));
   parallel_for(query_count, batch, threads, [&](std::size_t begin, std::size_t end, int) {
-    std::vector<Selection> selections(end - begin, Selection(columns, tile_points));
-    // For each list who probes it: those that are nearest to it, in a first pass, so that later
-    // candidates meet a bound; then the others.
-    std::vector<std::vector<uint32_t>> visits(2 * lists());
-    const auto chosen = probed(queries + begin * dim_, end - begin, columns, probes);
-    for (std::size_t q = 0; q < end - begin; ++q) {
-      selections[q].start(queries + (begin + q) * dim_);
-      for (std::size_t rank = 0; rank < chosen[q].size(); ++rank) {
-        visits[chosen[q][rank] + (rank == 0 ? 0 : lists())].push_back(uint32_t(q));
-      }
-    }
-    for (std::size_t visit = 0; visit < visits.size(); ++visit) {
-      const std::size_t list = visit % lists();
-      for (std::size_t at = starts_[list]; at < starts_[list + 1]; at += tile_points) {
-        const std::size_t blocks = std::min(tile_points, starts_[list + 1] - at) / lanes_;
-        for (std::size_t group = 0; group < visits[visit].size(); group += kGroup) {
-          const uint32_t* members = visits[visit].data() + group;
-          const std::size_t count = std::min(kGroup, visits[visit].size() - group);
-          KnnScan scan;
-          for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
-            selections[members[std::min(i, count - 1)]].offer(scan, i);
-            if (i >= count) scan.thresholds[i] = -1.0f;
-          }
-          kernels_.knn_scan(packed_.data() + at * dim_, blocks, dim_, static_cast<uint32_t>(at),
-                            scan);
-          for (std::size_t i = 0; i < count; ++i) {
-            selections[members[i]].take(scan.counts[i], points);
-          }
-        }
-      }
-    }
+    Search search(*this, queries + begin * dim_, end - begin, columns);
+    search.read(probed(queries + begin * dim_, end - begin, columns, probes), columns);
     for (std::size_t q = begin; q < end; ++q) {
-      selections[q - begin].finish(points, indices + q * columns, distances + q * columns);
+      search.finish(q - begin, indices + q * columns, distances + q * columns);
     }
   });
 }
@@ -187,7 +314,8 @@ void DescriptorIndex::search(const float* queries, std::size_t query_count, std:
 void nearest_descriptors(const float* queries, std::size_t query_count, const float* database,
                          std::size_t database_count, std::size_t dim, std::size_t columns, Isa isa,
                          int threads, int64_t* indices, float* distances) {
-  const DescriptorIndex index(database, database_count, dim, 1, isa, threads);
+  const DescriptorIndex index(database, database_count, dim, 1, isa, threads,
+                              query_count >= kBoxedQueries);
   index.search(queries, query_count, columns, 1, threads, indices, distances);
 }
 

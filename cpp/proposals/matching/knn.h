@@ -7,18 +7,21 @@
 #include <vector>
 
 #include "common/aligned.h"
+#include "proposals/matching/descriptor_boxes.h"
 #include "simd/kernels.h"
 
 namespace segloc {
 
 // Descriptors divided into lists around centres (k-means), packed for the scan. With one list every
 // search is exact; with more, a search reads only the lists whose centres are nearest to the query.
-// Neither the lists nor the answers depend on the number of threads.
+// Within its lists it skips the blocks that lie too far for any of their rows to be among the
+// nearest. Neither the lists nor the answers depend on the number of threads.
 class DescriptorIndex {
  public:
-  // The database (count, dim) must stay where it is. dim > 0, lists > 0.
+  // The database (count, dim) must stay where it is. dim > 0, lists > 0. Without `boxes` no block is
+  // skipped: they cost as much as the search for some tens of queries.
   DescriptorIndex(const float* database, std::size_t count, std::size_t dim, std::size_t lists,
-                  Isa isa, int threads);
+                  Isa isa, int threads, bool boxes = true);
 
   // For each row of queries (Q, dim) the `columns` nearest rows, columns <= count, sorted by
   // distance and then by index. Distances are Euclidean; they are ranked in double. `probes` lists
@@ -31,13 +34,17 @@ class DescriptorIndex {
   std::size_t lists() const { return starts_.size() - 1; }
 
  private:
+  class Search;
+
   void divide(std::size_t lists, int threads);
   void pack(const std::vector<uint32_t>& list_of, int threads);
+  void bound(const float* projections, int threads);
   std::vector<std::vector<uint32_t>> probed(const float* queries, std::size_t query_count,
                                             std::size_t columns, std::size_t probes) const;
 
   const float* database_;
   std::size_t count_, dim_;
+  bool boxed_;
   const Kernels& kernels_;
   std::size_t lanes_;
   std::vector<float> centres_;                     // (lists, dim)
@@ -46,6 +53,10 @@ class DescriptorIndex {
   std::vector<std::size_t> sizes_;   // of each list
   std::vector<uint32_t> ids_;        // row of the database at each position; count_ for padding
   AlignedFloats packed_;
+  DescriptorAxes axes_;                   // none: every block is read
+  float farthest_ = 0.0f;                 // along the axes, of any row
+  std::vector<std::size_t> group_starts_;  // of each list, among the groups of blocks
+  DescriptorBoxes boxes_;
 };
 
 // An exact search, once.

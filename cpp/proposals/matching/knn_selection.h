@@ -50,17 +50,17 @@ struct Candidate {
 // margin for what rounding can do; in the end they are ranked in double.
 class Selection {
  public:
-  Selection(std::size_t columns, std::size_t tile_points)
+  Selection(std::size_t columns, std::size_t block_points)
       : columns_(columns),
-        indices_(3 * columns + 2 * tile_points),
+        indices_(3 * columns + 2 * block_points),
         distances2_(indices_.size()),
         sorted_(indices_.size()),
         ranked_(indices_.size()) {}
 
   // What one takes, about.
-  static std::size_t bytes(std::size_t columns, std::size_t tile_points) {
+  static std::size_t bytes(std::size_t columns, std::size_t block_points) {
     constexpr std::size_t kEach = sizeof(uint32_t) + 2 * sizeof(float) + sizeof(Candidate);
-    return (3 * columns + 2 * tile_points) * kEach;
+    return (3 * columns + 2 * block_points) * kEach;
   }
 
   void start(const float* query) {
@@ -68,6 +68,7 @@ class Selection {
     count_ = 0;
     threshold_ = std::numeric_limits<float>::infinity();
   }
+  float threshold() const { return threshold_; }  // of the squared distance
   void offer(KnnScan& scan, std::size_t slot) {
     scan.queries[slot] = query_;
     scan.thresholds[slot] = threshold_;
@@ -75,7 +76,7 @@ class Selection {
     scan.distances2[slot] = distances2_.data();
     scan.counts[slot] = count_;
   }
-  // After a tile: drops what is too far, once there is enough for that to pay.
+  // After a block: drops what is too far, once there is enough for that to pay.
   void take(std::size_t count, const Points& database) {
     count_ = count;
     if (count_ < 2 * columns_) return;

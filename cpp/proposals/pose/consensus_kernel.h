@@ -9,14 +9,6 @@ namespace SEGLOC_ISA {
 namespace {
 
 // No fused products here: every instruction set must find the same pairs.
-inline size_t append(uint32_t hits, size_t first, size_t end, uint32_t* found, size_t count) {
-  if (end - first < kWidth) hits &= (1u << (end - first)) - 1u;
-  for (; hits != 0; hits &= hits - 1) {
-    found[count++] = static_cast<uint32_t>(first) + static_cast<uint32_t>(lowest_bit(hits));
-  }
-  return count;
-}
-
 size_t near_pose(const MatchArrays& f, const PoseTest& test, size_t begin, size_t end,
                  uint32_t* found) {
   const Vec c = broadcast(test.cosine), s = broadcast(test.sine);

@@ -51,6 +51,7 @@ def _remade(
     described = Descriptors(vectors, prior_map.quality)
     other.add(described, centroids, prior_map.sizes, session=0, stamp=0.0, cloud=cloud)
     other.add_trajectory(trajectory)
+    other.metadata.update(prior_map.metadata)
     return other
 
 

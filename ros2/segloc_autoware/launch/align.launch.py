@@ -1,6 +1,8 @@
 """segloc as Autoware's initial pose estimator, in place of the NDT scan matcher's service.
 
 ros2 launch segloc_autoware align.launch.py map:=/maps/site.segmap points:=/sensing/lidar/...
+
+With ``odometry:=topic odom:=/localization/kinematic_state`` the vehicle may drive meanwhile.
 """
 
 from launch import LaunchDescription
@@ -13,6 +15,9 @@ def generate_launch_description() -> LaunchDescription:
     arguments = {
         "map": ("", "the .segmap, in Autoware's map frame"),
         "points": ("/sensing/lidar/concatenated/pointcloud", "clouds"),
+        "odom": ("odom", "odometry, with odometry:=topic"),
+        "odometry": ("none", "none: the vehicle stands, and the EKF has not begun; or topic"),
+        "namespace": ("", "namespace of the node"),
         "service": ("/localization/pose_estimator/ndt_align_srv", "what pose_initializer asks"),
         "use_sim_time": ("false", "for a bag or a simulator"),
     }
@@ -21,7 +26,7 @@ def generate_launch_description() -> LaunchDescription:
         package="segloc_autoware",
         executable="align_node",
         name="segloc",
-        namespace="",
+        namespace=given["namespace"],
         output="screen",
         respawn=True,
         parameters=[
@@ -30,13 +35,14 @@ def generate_launch_description() -> LaunchDescription:
                 "use_sim_time": given["use_sim_time"],
                 "mode": "initialpose",
                 "trigger": "service",
-                "odometry": "none",  # the vehicle stands, and the EKF has not begun
+                "odometry": given["odometry"],
                 "initialpose_topic": "~/initialpose",
                 "service_timeout_s": 10.0,
             }
         ],
         remappings=[
             ("points", given["points"]),
+            ("odom", given["odom"]),
             ("ndt_align_srv", given["service"]),
         ],
     )

@@ -1,6 +1,8 @@
-"""ros2 launch segloc_ros segloc.launch.py map:=/maps/site.segmap [params_file:=...] [rviz:=true]
+"""The node alone; the other launch files include this one and take its arguments.
 
-What is not given here is as the file of parameters says.
+ros2 launch segloc_ros segloc.launch.py map:=/maps/site.segmap points:=/points odom:=/odom
+
+Arguments that are not given are as the file of parameters says.
 """
 
 from pathlib import Path
@@ -14,17 +16,21 @@ from launch_ros.actions import LifecycleNode, Node
 
 SHARE = Path(get_package_share_directory("segloc_ros"))
 PARAMETERS = {
-    "map": "the .segmap",
+    "map": "the .segmap, or a folder or URL of tiles",
     "mode": "initialpose, tf or both",
     "trigger": "until_localized, periodic or service",
+    "odometry": "topic, tf, kiss-icp or none",
+    "pose_file": "file that keeps the pose over a power cycle",
+    "smooth_tf": "true: map -> odom without jumps",
     "use_sim_time": "true for a bag or a simulator",
 }
+FLAGS = ("smooth_tf", "use_sim_time")
 ARGUMENTS = {
     "params_file": (str(SHARE / "config" / "segloc.yaml"), "parameters"),
-    "namespace": ("", "of the node"),
-    "points": ("points", "the topic of the clouds"),
-    "odom": ("odom", "the topic of the odometry"),
-    "rviz": ("false", "whether to show it"),
+    "namespace": ("", "namespace of the node, its topics and tf"),
+    "points": ("points", "topic of the clouds"),
+    "odom": ("odom", "topic of the odometry"),
+    "rviz": ("false", "true: show the map, the clouds and the pose"),
 }
 
 
@@ -32,8 +38,7 @@ def node(context: LaunchContext) -> list[LifecycleNode]:
     """The node, with the parameters that were given."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     given = {name: value for name, value in values.items() if value}
-    if "use_sim_time" in given:
-        given["use_sim_time"] = given["use_sim_time"].lower() == "true"
+    given |= {name: given[name].lower() == "true" for name in FLAGS if name in given}
     return [
         LifecycleNode(
             package="segloc_ros",
@@ -47,6 +52,8 @@ def node(context: LaunchContext) -> list[LifecycleNode]:
             remappings=[
                 ("points", LaunchConfiguration("points")),
                 ("odom", LaunchConfiguration("odom")),
+                ("/tf", "tf"),  # in a namespace each robot has its own
+                ("/tf_static", "tf_static"),
             ],
         )
     ]

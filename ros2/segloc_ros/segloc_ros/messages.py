@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseArray,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+)
+from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import Marker, MarkerArray
@@ -17,8 +24,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .core.clicks import Click
 from .core.diagnosis import Diagnosis
 from .core.frames import Transform, frame_name, pose_of, position_and_quaternion
-from .core.replies import MatchesReply, PoseReply
+from .core.replies import CandidatesReply, MatchesReply, OdometryReply, PoseReply
 
+_ODOMETRY_M, _ODOMETRY_DEG = 0.05, 0.5
+"""Deviations of computed odometry, and of its velocities per second."""
 _GREEN, _ORANGE = (0.1, 0.8, 0.2), (1.0, 0.55, 0.0)
 
 
@@ -67,11 +76,40 @@ def click_in(message: PoseWithCovarianceStamped) -> Click:
 def pose_out(reply: PoseReply) -> PoseWithCovarianceStamped:
     message = PoseWithCovarianceStamped()
     message.header.frame_id, message.header.stamp = reply.frame, time_of(reply.stamp)
-    xyz, xyzw = position_and_quaternion(reply.T_map_base)
-    p, q = message.pose.pose.position, message.pose.pose.orientation
+    set_pose(message.pose.pose, reply.T_map_base)
+    message.pose.covariance = reply.covariance.ravel().tolist()
+    return message
+
+
+def odometry_out(reply: OdometryReply) -> Odometry:
+    transform = reply.transform
+    message = Odometry(child_frame_id=transform.child)
+    message.header.frame_id = transform.parent
+    message.header.stamp = time_of(transform.stamp)
+    set_pose(message.pose.pose, transform.T_parent_child)
+    twist = message.twist.twist
+    for vector, values in ((twist.linear, reply.linear), (twist.angular, reply.angular)):
+        vector.x, vector.y, vector.z = values.tolist()
+    # Of one step, since the drift of the pose grows with the way.
+    deviations = np.repeat([_ODOMETRY_M, math.radians(_ODOMETRY_DEG)], 3)
+    message.pose.covariance = np.diag(deviations**2).ravel().tolist()
+    message.twist.covariance = np.diag(deviations**2).ravel().tolist()
+    return message
+
+
+def set_pose(pose: Any, T: NDArray[np.float64]) -> None:
+    """Fill a geometry_msgs/Pose."""
+    xyz, xyzw = position_and_quaternion(T)
+    p, q = pose.position, pose.orientation
     p.x, p.y, p.z = xyz
     q.x, q.y, q.z, q.w = xyzw
-    message.pose.covariance = reply.covariance.ravel().tolist()
+
+
+def candidates_out(reply: CandidatesReply) -> PoseArray:
+    message = PoseArray(poses=[Pose() for _ in reply.places])
+    message.header.frame_id, message.header.stamp = reply.frame, time_of(reply.stamp)
+    for pose, (T, _) in zip(message.poses, reply.places, strict=True):
+        set_pose(pose, T)
     return message
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, PointCloud2
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
 
 from segloc import Prior, SeglocError
@@ -32,6 +34,11 @@ from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .tf_port import TfPort
 from .waiting import Waiting
+
+try:
+    from segloc_msgs.srv import LoadMap
+except ImportError:  # then the parameter map does it
+    LoadMap = None
 
 _TICK_S = 0.5
 
@@ -57,6 +64,9 @@ class SeglocNode(LifecycleNode):
         # Calls wait, and must not keep what they wait for from coming in.
         self.calls = ReentrantCallbackGroup()
         self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
+        if LoadMap is not None:
+            self.create_service(LoadMap, "~/load_map", self._on_load, callback_group=self.calls)
+        self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
         """What the parameters say.
@@ -92,7 +102,7 @@ class SeglocNode(LifecycleNode):
 
     def _without_tf(self, settings: Settings) -> None:
         if settings.tells_tf or settings.odometry == "tf":
-            raise ImportError("mode tf and odometry by tf need tf2_msgs, which is not installed")
+            raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -102,9 +112,11 @@ class SeglocNode(LifecycleNode):
             reliability = ReliabilityPolicy.RELIABLE
         clouds = QoSProfile(depth=settings.points_depth, reliability=reliability)
         fast = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        lidars = (settings.points_topic, *settings.more_points_topics)
         wanted = [
-            (PointCloud2, settings.points_topic, self._on_cloud, clouds),
+            *((PointCloud2, topic, partial(self._on_cloud, topic), clouds) for topic in lidars),
             (Imu, settings.imu_topic, self._on_imu, fast),
+            (NavSatFix, settings.fix_topic, self._on_fix, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
         ]
         if settings.odometry == "topic":
@@ -132,17 +144,21 @@ class SeglocNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def _tear_down(self) -> None:
-        if self.pump is not None:
-            self.pump.close()
+        self._close_pump()
         for port in (self._outputs, self._tf):
             if port is not None:
                 port.close()
-        self.robot, self.pump, self._outputs, self._tf = None, None, None, None
+        self.robot, self._outputs, self._tf = None, None, None
 
-    def destroy_node(self) -> None:
+    def _close_pump(self) -> None:
         if self.pump is not None:
             self.pump.close()
             self.pump = None
+        if self.robot is not None and self.robot.keeper is not None:
+            self.robot.keeper.flush()
+
+    def destroy_node(self) -> None:
+        self._close_pump()
         super().destroy_node()
 
     # --- what comes in -------------------------------------------------------------------------
@@ -157,9 +173,9 @@ class SeglocNode(LifecycleNode):
         except SeglocError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
-    def _on_cloud(self, message: PointCloud2) -> None:
+    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
-        self._feed(lambda robot: robot.on_cloud(message, stamp, frame))
+        self._feed(lambda robot: robot.on_cloud(message, stamp, frame, topic))
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (
@@ -177,6 +193,10 @@ class SeglocNode(LifecycleNode):
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
         felt = np.array([a.x, a.y, a.z])
         self.pump.read(lambda robot: robot.on_acceleration(stamp, frame, felt))
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        if self.pump is not None:
+            self.pump.read(lambda robot: robot.on_fix(message))
 
     def _on_click(self, message: PoseWithCovarianceStamped) -> None:
         if self.pump is None:
@@ -216,6 +236,10 @@ class SeglocNode(LifecycleNode):
                 self.get_logger().info(told.message)
             elif told is not None:
                 self.get_logger().warning(told.message)
+        if robot.keeper is not None:
+            for note in robot.keeper.notes:
+                self.get_logger().info(note)
+            robot.keeper.notes.clear()
         given_up = robot.trigger.resting and robot.trigger.held is None
         self.waiting.settle(robot.fixes, given_up)
 
@@ -227,6 +251,35 @@ class SeglocNode(LifecycleNode):
         response.success = await self.find()
         response.message = self.why()
         return response
+
+    async def _on_load(self, request: Any, response: Any) -> Any:
+        try:
+            T_new_old = pose_in(request.old_in_new) if request.near else None
+            fault = await self._load(request.map_url, T_new_old)
+        except SeglocError as error:
+            fault = str(error)
+        response.success, response.message = not fault, fault or f"loaded {request.map_url}"
+        return response
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        for each in parameters:
+            if each.name == "map" and each.value and self.pump is not None:
+                self._load(str(each.value))
+
+    def _load(self, path: str, T_new_old: Any = None) -> Future:
+        """Replace the map; a future of the fault, "" if there is none."""
+        future = Future(executor=self.executor)
+        if self.pump is None:
+            future.set_result("the node is not configured")
+            return future
+
+        def done(fault: str) -> None:
+            if fault:
+                self.get_logger().error(f"the map stays as it was: {fault}")
+            future.set_result(fault)
+
+        self.pump.load(path, T_new_old, done)
+        return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
         """Look for the robot; a future that says whether it was found."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
@@ -13,10 +14,17 @@ from segloc import Localizer
 
 from .core.diagnosis import Diagnosis, Level, diagnose
 from .core.maps import map_points
-from .core.replies import InitialPose, MapToOdom, PoseReply, Reply
+from .core.replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .core.robot import Robot
 from .core.settings import Settings
-from .messages import cloud_out, diagnostics_out, matches_out, pose_out
+from .messages import (
+    candidates_out,
+    cloud_out,
+    diagnostics_out,
+    matches_out,
+    odometry_out,
+    pose_out,
+)
 from .tf_port import TfPort
 from .tracker_port import TrackerPort
 
@@ -37,6 +45,10 @@ class Outputs:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._map = node.create_publisher(PointCloud2, "~/map_cloud", latched)
         self._matches = node.create_publisher(MarkerArray, "~/matches", 1)
+        self._candidates = node.create_publisher(PoseArray, "~/candidates", 1)
+        self._odometry = None
+        if settings.odometry == "kiss-icp" and settings.odom_topic:
+            self._odometry = node.create_publisher(Odometry, settings.odom_topic, 10)
         self._tracker = TrackerPort(node, settings) if settings.tells_initialpose else None
         self._said = ""
 
@@ -49,6 +61,13 @@ class Outputs:
                 self._tracker.tell(reply)
         elif isinstance(reply, MapToOdom):
             if tf is not None:
+                tf.send(reply.transform)
+        elif isinstance(reply, CandidatesReply):
+            self._candidates.publish(candidates_out(reply))
+        elif isinstance(reply, OdometryReply):
+            if self._odometry is not None:
+                self._odometry.publish(odometry_out(reply))
+            if tf is not None and self._settings.odom_tf:
                 tf.send(reply.transform)
         else:
             self._matches.publish(matches_out(reply))
@@ -85,8 +104,11 @@ class Outputs:
 
     def close(self) -> None:
         """End all."""
-        for publisher in (self._pose, self._diagnostics, self._map, self._matches):
-            self._node.destroy_publisher(publisher)
+        ours = [self._pose, self._diagnostics, self._map, self._matches, self._candidates]
+        ours.append(self._odometry)
+        for publisher in ours:
+            if publisher is not None:
+                self._node.destroy_publisher(publisher)
         if self._tracker is not None:
             self._tracker.close()
 

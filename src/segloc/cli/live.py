@@ -70,6 +70,15 @@ def live(
     every: Annotated[
         float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
     ] = 10.0,
+    pose_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--pose-file",
+            metavar="FILE",
+            help="File of the last pose: checked first, then kept up to date.",
+            show_default="none",
+        ),
+    ] = None,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -80,22 +89,30 @@ def live(
 ) -> None:
     """Replay a recording through the online localizer, scan by scan.
 
-    Of the poses, only relative motion is used. Writes poses.tum, states.jsonl and summary.json;
-    `segloc view MAP DIR` shows them during the run.
+    Only the motion between poses is used, never where they are. Without poses, or with --odometry,
+    the motion is computed scan by scan (KISS-ICP). Writes poses.tum, states.jsonl and
+    summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
-    from ..live.replay import odometry_of, play, summary
+    from ..datasets import NO_POSES
+    from ..errors import ConfigError
+    from ..live import PoseKeeper
+    from ..live.replay import play, summary
     from ..map.segment_map import SegmentMap
-    from .console import progress
+    from .console import note, progress
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder, write_together
 
     check_folder(out)
+    if odometry and poses is not None:
+        raise ConfigError("--odometry and --poses exclude each other")
     localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
     local = localizer.config.local_cloud
+    poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=local.mount
+        sequence, poses, select, topic=topic, deskew=deskew, mount=local.mount
     )
-    moved = odometry_of(recording)[1]
+    if recording.poses is None:
+        note("odometry from the scans (KISS-ICP)")
     recording = levelled_poses(recording, local, level)
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))
     tell = _teller(recording)
@@ -105,9 +122,12 @@ def live(
             tell(position, state)
             so_far.add(position, state)
 
-        played = play(localizer, recording, _settings(every, rate), rate, heard, update)
+        keeper = None if pose_file is None else PoseKeeper(pose_file)
+        played = play(localizer, recording, _settings(every, rate), rate, heard, update, keeper)
+    for line in [] if keeper is None else keeper.notes:
+        note(line)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
-    facts |= summary(played, moved, truths, tolerance_m, tolerance_deg)
+    facts |= summary(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts))
     _show(facts, f"{recording.name} in {prior_map.name}")
 

@@ -120,8 +120,8 @@ Weights = Annotated[
 Near = Annotated[
     str | None,
     typer.Option(
-        metavar="X,Y[,Z]",
-        help="Search near this position only [m], in the map's frame.",
+        metavar="X,Y[,Z[,YAW]]",
+        help="Search near this position [m] and heading [deg] only, in the map's frame.",
         show_default="anywhere",
     ),
 ]
@@ -172,10 +172,16 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
     if near is None:
         return None
     try:
-        position = [float(part) for part in near.split(",")]
+        x, y, *rest = near.split(",")
+        up, yaw = (*rest, "", "")[: max(2, len(rest))]
+        position = [float(part) for part in (x, y, up) if part.strip()]
+        heading = float(yaw) if yaw.strip() else None
     except ValueError as error:
-        raise ConfigError(f"--near expects X,Y or X,Y,Z in metres, not {near!r:.60}") from error
-    return Prior(position, radius, anywhere)
+        raise ConfigError(
+            "--near expects X,Y or X,Y,Z in metres, or X,Y,Z,YAW with degrees (Z may be empty), "
+            f"not {near!r:.60}"
+        ) from error
+    return Prior(position, radius, anywhere, heading)
 
 
 def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,14 @@ class Fixes:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    @classmethod
+    def of(cls, source: str, messages: Iterable[tuple[Any, float]]) -> Fixes:
+        """From sensor_msgs/NavSatFix with the times [s] that count for those without a stamp."""
+        found = [_row(message, received) for message, received in messages]
+        rows = np.array([row for row in found if row], np.float64).reshape(-1, 5)
+        rows = rows[rows[:, 0].argsort(kind="stable")]
+        return cls(source, rows[:, 0], rows[:, 1:4], rows[:, 4])
 
 
 def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
@@ -58,17 +67,16 @@ def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
             listed = ", ".join(topics) or "none"
             raise DatasetError(f"{paths[0]}: no NavSatFix topic {topic or ''}; available: {listed}")
         chosen = topic or topics[0]
-        found = [_row(message, logged) for message, logged in messages_of(reader, chosen)]
-    rows = np.array([row for row in found if row], np.float64)
-    if not len(rows):
+        messages = ((message, 1e-9 * logged) for message, logged in messages_of(reader, chosen))
+        fixes = Fixes.of(chosen, messages)
+    if not len(fixes):
         raise DatasetError(f"{path}: {chosen}: no message with a fix")
-    rows = rows[rows[:, 0].argsort(kind="stable")]
-    return Fixes(chosen, rows[:, 0], rows[:, 1:4], rows[:, 4])
+    return fixes
 
 
-def _row(message: Any, logged: int) -> list[float] | None:
-    """Return stamp, longitude, latitude, height and error; None without a fix."""
-    stamp = seconds(message.header.stamp) or logged * 1e-9
+def _row(message: Any, received: float) -> list[float] | None:
+    """Stamp, longitude, latitude, height and error; None without a fix."""
+    stamp = seconds(message.header.stamp) or received
     place = [float(message.longitude), float(message.latitude)]
     sane = abs(place[0]) <= 180.0 and abs(place[1]) <= 90.0  # and not NaN
     if message.status.status <= _NO_FIX or not sane or not math.isfinite(stamp):

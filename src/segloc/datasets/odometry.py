@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from .. import geometry
-from ..errors import DatasetError, MissingDependency
+from ..errors import DatasetError, InvalidScan, MissingDependency
 from ..io.trajectory import Trajectory, read_trajectory, write_tum
 from ..motion import times_fit
-from ..types import Float64
+from ..types import Pose, Scan
 from .recorded import RecordedSequence
 
 _MIN_POINTS = 50
@@ -57,57 +57,77 @@ def lidar_odometry(
     MissingDependency
         If kiss-icp is not installed.
     """
-    odometry = _kiss_icp(max_range_m)
+    odometry = ScanOdometry(max_range_m)
     timed = recording.stamps is not None and bool((recording.stamps % 1).any())
     clock = recording.stamps if timed else None
     keys, poses = [], []
-    guard = _Guard()
     for i in range(len(recording)):
         scan = recording.raw(i)
-        if i == 0 and len(scan) and geometry.in_one_plane(scan.points):
-            raise DatasetError(f"{recording.where(i)}: odometry needs 3D scans, not one plane")
-        if len(scan) < _MIN_POINTS:
-            raise DatasetError(f"{recording.where(i)}: odometry lost: only {len(scan)} points")
-        times, last = np.empty(0), 0.0
-        if clock is not None and scan.times is not None and times_fit(scan):
-            times, last = scan.times, float(scan.times.max())
-        odometry.register_frame(scan.points.astype(np.float64), times)
-        pose = np.array(odometry.last_pose, dtype=np.float64)
-        guard.check(pose, recording.where(i))
-        keys.append(float(recording.indices[i]) if clock is None else float(clock[i]) + last)
+        if clock is None:
+            scan.times = None
+        try:
+            pose, after_s = odometry.add(scan)
+        except InvalidScan as error:
+            raise DatasetError(f"{recording.where(i)}: {error}") from error
+        keys.append(float(recording.indices[i]) if clock is None else float(clock[i]) + after_s)
         poses.append(pose)
         if progress:
             progress(i + 1, len(recording))
     return Trajectory(np.array(keys), np.array(poses))
 
 
-def _kiss_icp(max_range_m: float) -> Any:
-    try:
-        from kiss_icp.config.parser import load_config
-        from kiss_icp.kiss_icp import KissICP
-    except ImportError as error:
-        raise MissingDependency("kiss-icp", "odometry", "LiDAR odometry") from error
-    config = load_config(None)
-    config.data.max_range = max_range_m
-    config.mapping.voxel_size = max_range_m / 100.0
-    config.registration.max_num_threads = 1
-    return KissICP(config)
+class ScanOdometry:
+    """KISS-ICP, scan by scan, on one thread: the same scans give the same poses.
 
+    Parameters
+    ----------
+    max_range_m : float
+        Points farther away are not used.
 
-class _Guard:
-    """Detect lost odometry, which kiss-icp never reports, by implausible poses."""
+    Raises
+    ------
+    MissingDependency
+        If kiss-icp is not installed.
+    """
 
-    def __init__(self) -> None:
-        self._poses: list[Float64] = []
+    def __init__(self, max_range_m: float = 100.0) -> None:
+        self._registration = _kiss_icp(max_range_m)
+        self._poses: list[Pose] = []  # the last three
         self._idle = 0
 
-    def check(self, pose: Float64, where: str) -> None:
-        fault = self._fault(pose)
-        if fault:
-            raise DatasetError(f"{where}: odometry lost: {fault}")
-        self._poses = [*self._poses[-2:], pose]
+    def add(self, scan: Scan) -> tuple[Pose, float]:
+        """Register a scan; points with times are de-skewed.
 
-    def _fault(self, pose: Float64) -> str:
+        Returns
+        -------
+        pose : (4, 4) float64
+            Of the sensor, in the frame of the first scan.
+        after_s : float
+            When it holds, seconds after the scan's stamp: at the end of a scan with times.
+
+        Raises
+        ------
+        InvalidScan
+            If the scan is empty or the first one of a single plane, or the odometry is lost: a
+            pose is not finite, or jumps, or falls back to where it began, or several scans in a
+            row were not registered.
+        """
+        if not self._poses and len(scan) and geometry.in_one_plane(scan.points):
+            raise InvalidScan("odometry needs 3D, not one plane")
+        if len(scan) < _MIN_POINTS:
+            raise InvalidScan(f"only {len(scan)} points: odometry is lost")
+        times, last = np.empty(0), 0.0
+        if scan.times is not None and times_fit(scan):
+            times, last = scan.times, float(scan.times.max())
+        self._registration.register_frame(scan.points.astype(np.float64), times)
+        pose = np.array(self._registration.last_pose, dtype=np.float64)
+        if fault := self._fault(pose):
+            raise InvalidScan(f"odometry is lost: {fault}")
+        self._poses = [*self._poses[-2:], pose]
+        return pose, last
+
+    def _fault(self, pose: Pose) -> str:
+        """KISS-ICP reports a loss by odd poses, never by an error."""
         if not np.isfinite(pose).all():
             return "pose not finite"
         if not self._poses:
@@ -125,6 +145,19 @@ class _Guard:
         predicted = last @ np.linalg.inv(before) @ last
         self._idle = self._idle + 1 if np.abs(predicted - pose).max() < 1e-9 else 0
         return "consecutive scans do not match" if self._idle >= _MAX_IN_A_ROW else ""
+
+
+def _kiss_icp(max_range_m: float) -> Any:
+    try:
+        from kiss_icp.config.parser import load_config
+        from kiss_icp.kiss_icp import KissICP
+    except ImportError as error:
+        raise MissingDependency("kiss-icp", "odometry", "LiDAR odometry") from error
+    config = load_config(None)
+    config.data.max_range = max_range_m
+    config.mapping.voxel_size = max_range_m / 100.0
+    config.registration.max_num_threads = 1
+    return KissICP(config)
 
 
 def odometry_path(path: Path, topic: str | None = None) -> Path:

@@ -14,16 +14,13 @@ from ..types import Float32, Float64
 
 _Z = np.array([0.0, 0.0, 1.0])
 _STEP_DEG = 4.0
-_START_DEG = 8.0
-_TOLERANCES_DEG = (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0)
-_FAR, _FARTHEST = 1.5, 3.0
-"""From the air what is nearest may all be roofs: so many times the median range is used at least,
-up to so many times what is used otherwise."""
-_BLOCK = 64  # directions that are scored at once: the table stays in the cache
-_MOST_NORMALS = 2000
-"""Those of more places turn the attitude by less than it is uncertain."""
-_TOGETHER = 13.0
-"""So many neighbouring normals err together: one plane, one registration of the sensor."""
+_TOLERANCES_RAD = tuple(math.radians(deg) for deg in (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0))
+_CORRELATED = 13.0
+"""Neighbouring normals that err together: those of one plane."""
+_MIN_NEIGHBOURS = 10
+_MAX_THICKNESS_M = 0.05
+_MAX_NORMALS = 2000
+"""Normals of more places change the attitude by less than its uncertainty."""
 
 
 class AttitudeConfig(Section):
@@ -84,7 +81,7 @@ def angle_deg(a: Float64, b: Float64) -> float:
 
 
 class AttitudeEstimator:
-    """Finds the vertical to which floors and ceilings are normal and walls parallel.
+    """Estimates the vertical to which floors and ceilings are normal and walls parallel.
 
     Normals of flat places vote for directions on a grid around where up is expected; the best is
     refined by least squares over the normals that agree, with a tolerance that shrinks.
@@ -109,13 +106,13 @@ class AttitudeEstimator:
         if len(normals) < self.config.min_normals:
             return None
         grid = self._grid @ geometry.upright(expected)[:3, :3]
-        found = _refined(normals, grid[_agreement(normals, grid).argmax()])
+        found = _refined(normals, _native.fit_vertical(normals, grid, _TOLERANCES_RAD[:-1]))
         off = angle_deg(found.up, expected)
         if off > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
             return None
         return found
 
-    def normals(self, points: Float32) -> Float64:
+    def normals(self, points: Float32) -> Float32:
         """Unit normals, of either sign, of flat places near the sensor, (M, 3).
 
         Parameters
@@ -124,15 +121,15 @@ class AttitudeEstimator:
             Sensor frame.
         """
         config = self.config
-        squares = np.einsum("ij,ij->i", points, points)
-        limit = config.radius_m**2
-        if 2 * np.count_nonzero(squares > limit / _FAR**2) >= len(squares) > 0:
-            typical = float(np.median(squares))
-            limit = max(limit, min(_FAR**2 * typical, _FARTHEST**2 * limit))
-        near = np.flatnonzero(squares < limit)
-        thinned = _native.voxel_grid(points.take(near, axis=0), config.voxel_size)
-        normals = _native.plane_normals(thinned, config.support_m, 10, 0.05, _MOST_NORMALS)
-        return normals.astype(np.float64)
+        return _native.flat_normals(
+            points,
+            config.radius_m,
+            config.voxel_size,
+            config.support_m,
+            _MIN_NEIGHBOURS,
+            _MAX_THICKNESS_M,
+            _MAX_NORMALS,
+        )
 
 
 def _directions(most_deg: float) -> Float64:
@@ -146,29 +143,17 @@ def _directions(most_deg: float) -> Float64:
     return np.concatenate(rings)
 
 
-def _agreement(normals: Float64, directions: Float64) -> Float64:
-    """How many normals are about parallel or about orthogonal to each direction, (D,)."""
-    least = math.sin(math.radians(_START_DEG)) ** 2
-    scores = [np.empty(0)]
-    for start in range(0, len(directions), _BLOCK):
-        squared = (directions[start : start + _BLOCK] @ normals.T) ** 2
-        nearest = np.minimum(squared, 1.0 - squared)  # squared sine of the angle to either
-        scores.append(np.maximum(1.0 - nearest / least, 0.0).sum(axis=1))
-    return np.concatenate(scores)
-
-
-def _refined(normals: Float64, up: Float64) -> Attitude:
-    """The least squares direction: along the normals of floors, across those of walls."""
-    for tolerance in _TOLERANCES_DEG:
-        along = np.abs(normals @ up)
-        floors = normals[along > math.cos(math.radians(tolerance))]
-        walls = normals[along < math.sin(math.radians(tolerance))]
-        values, axes = np.linalg.eigh(walls.T @ walls - floors.T @ floors)
-        up = axes[:, 0] * (1.0 if axes[:, 0] @ up > 0 else -1.0)
+def _refined(normals: Float32, up: Float64) -> Attitude:
+    """Fit the direction along the normals of floors and across those of walls, with its error."""
+    tolerance, exact = _TOLERANCES_RAD[-1], normals.astype(np.float64)
+    along = np.abs(exact @ up)
+    floors, walls = exact[along > math.cos(tolerance)], exact[along < math.sin(tolerance)]
+    values, axes = np.linalg.eigh(walls.T @ walls - floors.T @ floors)
+    up = axes[:, 0] * (1.0 if axes[:, 0] @ up > 0 else -1.0)
     residual = float(values[0]) + len(floors)  # sum of squared sines
     count = len(floors) + len(walls)
     curvature = float(values[1] - values[0])
     if count < 3 or curvature <= 0.0:
         return Attitude(up, math.inf)
     variance = max(residual, 0.0) / count / curvature
-    return Attitude(up, math.degrees(math.sqrt(_TOGETHER * variance)))
+    return Attitude(up, math.degrees(math.sqrt(_CORRELATED * variance)))

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from .. import _native
 from ..system.section import Section
-from ..types import Float32, Int64, LocalCloud, Segments
+from ..types import Float32, LocalCloud, Segments
 
 WIDEST_LINK = 1.25
 """Points that lie so much closer together than the tolerance link up, nearly all of an object."""
@@ -135,10 +135,9 @@ class Segmenter:
         if cloud.voxel_size != cluster.voxel_size:
             points = _native.voxel_grid(points, cluster.voxel_size)
         heights = heights_above_ground(points, config)
-        above = heights > config.structure_height
-        structure = points.take(np.flatnonzero(above), axis=0)
+        structure, low = _native.split_by_height(points, heights, config.structure_height)
         cluster = cluster.widened(structure)
-        members, offsets = _native.clusters_above(
+        segments = _native.segments_above(
             points,
             heights,
             cluster.height_cuts,
@@ -146,17 +145,5 @@ class Segmenter:
             cluster.min_points,
             cluster.max_points,
         )
-        low = points.take(np.flatnonzero(~above), axis=0)
         ground = _native.voxel_grid(low, config.ground_voxel)
-        segments = _measured(points.take(members, axis=0), heights.take(members), offsets)
-        return Segmentation(segments, structure, ground)
-
-
-def _measured(points: Float32, heights: Float32, offsets: Int64) -> Segments:
-    """Segments with their centroids and mean heights."""
-    if len(offsets) == 1:
-        return Segments(points, offsets, np.empty((0, 3)), np.empty(0, np.float32))
-    counts = np.diff(offsets)[:, None]
-    centroids = np.add.reduceat(points, offsets[:-1], dtype=np.float64) / counts
-    mean_heights = np.add.reduceat(heights, offsets[:-1], dtype=np.float64) / counts[:, 0]
-    return Segments(points, offsets, centroids, mean_heights.astype(np.float32))
+        return Segmentation(Segments(*segments), structure, ground)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Callable, Iterator
-from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,9 +13,11 @@ from ..geometry import transform
 from ..system.checks import checked_pose
 from ..types import Float64
 from . import pcd, ply
-from .fields import column, faults_of, one_line
+from .fields import PointLayout, column, faults_of, one_line
 from .las import import_laspy
+from .npy import as_points, parse_array
 from .scans import read_file, read_scan, scan_suffix
+from .text import COMMENTS, table_parts, text_parts
 
 PART = 1_000_000
 """Points that are read at a time."""
@@ -113,87 +113,44 @@ def _parts(path: Path) -> Iterator[Float64]:
         return _e57(path)
     if suffix in (".las", ".laz"):
         return _las(path)
-    if suffix in _TEXT:
-        return _text(path)
     if suffix == ".npy":
-        return _npy(path)
-    if suffix in (".pcd", ".ply") and path.stat().st_size:
+        return iter([as_points(parse_array(read_file(path)))[:, :3].astype(np.float64)])
+    if suffix in (".pcd", ".ply", *_TEXT) and path.stat().st_size:
         return _mapped(path, suffix)
     return iter([read_scan(path).points.astype(np.float64)])
 
 
 def _mapped(path: Path, suffix: str) -> Iterator[Float64]:
-    """A PCD or PLY file by its own columns, where its points have all one size."""
+    """A text file, or a PCD or PLY file whose points have all one size."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if suffix in _TEXT:
+            for table in text_parts(data, () if suffix == ".csv" else COMMENTS):
+                yield table[:, :3]
+            return
         head = data[: 1 << 20]
         layout = (pcd.point_layout if suffix == ".pcd" else ply.point_layout)(head)
         if layout is None:
-            yield from _whole(path)
-            return
-        if layout.text:
-            yield from _rows(stream, layout.start, layout.columns, layout.count)
-            return
-        if layout.start + layout.count * layout.stride > len(data):
-            raise DatasetError(f"{layout.count} points do not fit into the file: it is cut off")
-        for first in range(0, layout.count, PART):
-            count = min(PART, layout.count - first)
-            at = layout.start + first * layout.stride
-            part = data[at : at + count * layout.stride]
-            yield np.column_stack(
-                [
-                    column(part, dtype, count, place, layout.stride).astype(np.float64)
-                    for dtype, place in zip(layout.dtypes, layout.columns, strict=True)
-                ]
-            )
+            yield read_scan(path).points.astype(np.float64)
+        elif layout.text:
+            yield from table_parts(data, layout.start, layout.columns, layout.count)
+        else:
+            yield from _records(data, layout)
 
 
-def _whole(path: Path) -> Iterator[Float64]:
-    yield read_scan(path).points.astype(np.float64)
-
-
-def _rows(
-    stream: Any, start: int, columns: tuple[int, ...], count: int | None
-) -> Iterator[Float64]:
-    """Rows of numbers between white space, commas or semicolons."""
-    stream.seek(start)
-    lines = (
-        line for line in stream if line.strip() and not line.lstrip().startswith((b"#", b"//"))
-    )
-    wanted = islice(lines, count)
-    while block := list(islice(wanted, PART)):
-        text = [line.replace(b",", b" ").replace(b";", b" ").decode("latin-1") for line in block]
-        try:
-            yield np.loadtxt(text, usecols=columns, ndmin=2, comments=None, dtype=np.float64)
-        except ValueError as error:
-            raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
-
-
-def _text(path: Path) -> Iterator[Float64]:
-    """Named columns x, y, z, or the first three; perhaps the number of points first."""
-    with path.open("rb") as stream:
-        start, columns = 0, (0, 1, 2)
-        while line := stream.readline():
-            if line.strip() and not line.lstrip().startswith((b"#", b"//")):
-                words = line.replace(b",", b" ").replace(b";", b" ").decode("latin-1").split()
-                names = [word.strip("\"'").lower() for word in words]
-                if {"x", "y", "z"} <= set(names):
-                    columns = (names.index("x"), names.index("y"), names.index("z"))
-                    start = stream.tell()
-                elif len(words) == 1 and words[0].isdecimal():
-                    start = stream.tell()
-                break
-        yield from _rows(stream, start, columns, None)
-
-
-def _npy(path: Path) -> Iterator[Float64]:
-    try:
-        rows = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError) as error:
-        raise DatasetError(f"cannot read: {one_line(error)}") from error
-    if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind != "f":
-        raise DatasetError(f"not (N, >=3) floating point numbers: {rows.shape} {rows.dtype}")
-    for first in range(0, len(rows), PART):
-        yield np.asarray(rows[first : first + PART, :3], dtype=np.float64)
+def _records(data: mmap.mmap, layout: PointLayout) -> Iterator[Float64]:
+    """The coordinates of binary points."""
+    if layout.start + layout.count * layout.stride > len(data):
+        raise DatasetError(f"{layout.count} points do not fit into the file: it is cut off")
+    for first in range(0, layout.count, PART):
+        count = min(PART, layout.count - first)
+        at = layout.start + first * layout.stride
+        part = data[at : at + count * layout.stride]
+        yield np.column_stack(
+            [
+                column(part, dtype, count, place, layout.stride).astype(np.float64)
+                for dtype, place in zip(layout.dtypes, layout.columns, strict=True)
+            ]
+        )
 
 
 def _las(path: Path) -> Iterator[Float64]:

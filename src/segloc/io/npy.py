@@ -24,8 +24,8 @@ _DEFLATE_RATIO = 1032  # maximum ratio of deflate
 
 
 def parse_npy(data: bytes) -> Scan:
-    """Parse an array (N, >= 3) of numbers: x, y, z and further columns."""
-    return Scan(_as_points(_parse_array(data)))
+    """An array (N, >= 3) of numbers: x, y, z and whatever else."""
+    return Scan(as_points(parse_array(data)))
 
 
 def parse_npz(data: bytes) -> Scan:
@@ -36,15 +36,15 @@ def parse_npz(data: bytes) -> Scan:
     return Scan(points, times=times)
 
 
-def _as_points(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
+def as_points(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
     if array.ndim != 2 or array.shape[1] < 3:
         raise DatasetError(f"points have shape {array.shape}, not (N, 3) or wider")
     check_points(len(array))
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
-def _parse_array(data: bytes) -> NDArray[Any]:
-    """Parse an NPY file; the header is matched as text, never evaluated."""
+def parse_array(data: bytes) -> NDArray[Any]:
+    """The array of an NPY file; its header is matched as text, so nothing in it is evaluated."""
     if len(data) < 12 or not data.startswith(_MAGIC) or data[6] not in (1, 2):
         raise DatasetError("not an NPY file of version 1 or 2")
     width = 2 if data[6] == 1 else 4
@@ -86,8 +86,8 @@ def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any]
                     f"no array 'points'; arrays: {', '.join(members) or 'none'}"[:200]
                 )
             name = "points" if "points" in members else next(iter(members))
-            points = _as_points(_parse_array(_member(archive, members[name])))
-            return points, _parse_array(_member(archive, times)) if times else None
+            points = as_points(parse_array(_member(archive, members[name])))
+            return points, parse_array(_member(archive, times)) if times else None
     except DatasetError:
         raise
     except Exception as error:  # zipfile raises many kinds on damaged bytes

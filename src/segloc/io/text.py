@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import mmap
 import re
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -14,9 +15,11 @@ from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line, scan_from_columns, wanted_columns
 
-_BLOCK = 1 << 23  # bytes parsed at a time; as lines they take several times the memory
+Mapped = bytes | mmap.mmap
+
+_BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as many
 _MAX_LINE = 1 << 16
-_COMMENTS = ("#", "//")
+COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
 _NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
 """Non-finite values as Microsoft's and other C libraries print them."""
@@ -49,15 +52,36 @@ def parse_table(
     """
     check_points(rows)
     found = _selected(_blocks(data), skipped, rows if more else None)
-    table = _parse_blocks(found, columns, width, None)
+    table = _joined(_tables(found, columns, width, None))
     if len(table) != rows:
         raise DatasetError(f"the header declares {rows} points, the file has {len(table)} rows")
     return table
 
 
-def _blocks(data: bytes, comments: tuple[str, ...] = ()) -> Iterator[list[str]]:
-    """Yield lines that are neither blank nor comments, some megabytes at a time."""
-    start = len(_BOM) if data.startswith(_BOM) else 0
+def table_parts(data: Mapped, start: int, columns: Sequence[int], rows: int) -> Iterator[Float64]:
+    """Read some columns of the first rows of a table between white space, part by part.
+
+    data: the file
+    start: where the table begins
+    columns: which columns to parse
+    rows: how many rows there should be
+
+    Yield (N, len(columns)) float64.
+
+    Raise DatasetError if a number cannot be parsed, or there are too few rows.
+    """
+    left = rows
+    for part in _tables(_selected(_blocks(data, (), start), 0, rows), columns, None, None):
+        left -= len(part)
+        yield part
+    if left:
+        raise DatasetError(f"the header says {rows} points, but there are {rows - left} rows")
+
+
+def _blocks(data: Mapped, comments: tuple[str, ...] = (), start: int = 0) -> Iterator[list[str]]:
+    """The lines that are neither blank nor comments, some megabytes of them at a time."""
+    if not start and data[: len(_BOM)] == _BOM:
+        start = len(_BOM)
     while start < len(data):
         end = len(data)
         if end - start > _BLOCK:
@@ -91,26 +115,36 @@ def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> It
             return
 
 
-def _parse_blocks(
+def _tables(
     blocks: Iterator[list[str]], columns: Sequence[int], width: int | None, delimiter: str | None
-) -> Float64:
-    tables: list[Float64] = []
+) -> Iterator[Float64]:
+    """The table of each block; an empty one if there are no lines."""
     count, last = 0, ""
     for lines in blocks:
         if not lines:
             continue
-        check_points(count + len(lines))
         try:
-            tables.append(_loaded(lines, columns, delimiter))
+            table = _loaded(lines, columns, delimiter)
         except ValueError as error:
             after = f" after row {count}" if count else ""
             raise DatasetError(f"cannot parse the points{after}: {one_line(error)}") from error
         count, last = count + len(lines), lines[-1]
-    if not tables:
-        return np.empty((0, len(columns)))
-    if width is not None and (found := len(_words(last, delimiter))) != width:
-        raise DatasetError(f"the last row has {found} columns, not {width}: cut off?")
-    return tables[0] if len(tables) == 1 else np.concatenate(tables)
+        yield table
+    if not count:
+        yield np.empty((0, len(columns)))
+    elif width is not None and (found := len(_words(last, delimiter))) != width:
+        raise DatasetError(f"the last row has {found} columns, not {width}")
+
+
+def _joined(tables: Iterator[Float64]) -> Float64:
+    """All of them in one; their rows are counted against the limit of a scan."""
+    found: list[Float64] = []
+    count = 0
+    for table in tables:
+        count += len(table)
+        check_points(count)
+        found.append(table)
+    return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
@@ -137,24 +171,27 @@ def _words(line: str, delimiter: str | None) -> list[str]:
 
 
 def parse_csv(data: bytes) -> Scan:
-    """Parse columns named x, y, z in any order (and a time, if any), else the first three."""
-    scan = _parse_text(_blocks(data))
-    if scan is None:
+    """Columns named x, y, z in any order (and a time, if any); without names the first three."""
+    if not data or data.isspace():
         raise DatasetError("empty file")
-    return scan
+    return scan_from_columns(list(_joined(text_parts(data, ())).T))
 
 
 def parse_txt(data: bytes) -> Scan:
-    """Parse like ``parse_csv``, with comments after # or //; an empty file has no points."""
-    scan = _parse_text(_blocks(data, _COMMENTS))
-    return Scan(np.empty((0, 3), dtype=np.float32)) if scan is None else scan
+    """As ``parse_csv``; lines that start with # or // are comments, and no lines are no points."""
+    return scan_from_columns(list(_joined(text_parts(data)).T))
 
 
-def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
-    """Parse a scan; None if there are no lines."""
+def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[Float64]:
+    """Yield the columns x, y, z (and a time, if any) of a text file, (N, 3 or 4), part by part.
+
+    Raise DatasetError if a number cannot be parsed, or a column is missing.
+    """
+    blocks = _blocks(data, comments)
     lines = next(filter(None, blocks), None)
     if lines is None:
-        return None
+        yield np.empty((0, 3))
+        return
     if len(lines) > 1 and _is_count(lines[0]) and not _is_count(lines[1]):
         del lines[0]
     delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
@@ -166,8 +203,7 @@ def _parse_text(blocks: Iterator[list[str]]) -> Scan | None:
     else:
         columns = wanted_columns(first)
         del lines[0]
-    table = _parse_blocks(chain([lines], blocks), columns, len(first), delimiter)
-    return scan_from_columns(list(table.T))
+    yield from _tables(chain([lines], blocks), columns, len(first), delimiter)
 
 
 def _is_count(line: str) -> bool:

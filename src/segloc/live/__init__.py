@@ -9,7 +9,12 @@ from ..tracking.belief import Status as Status
 from .config import LiveConfig as LiveConfig
 from .core import LiveCore as LiveCore
 from .core import State as State
+from .kept_pose import PoseKeeper as PoseKeeper
+from .lidar_odometry import LidarOdometry as LidarOdometry
 from .localizer import LiveLocalizer as LiveLocalizer
+from .merge import MountedScan as MountedScan
+from .merge import ScanMerger as ScanMerger
+from .smooth import SmoothTransform as SmoothTransform
 
 if TYPE_CHECKING:
     from .replay import Replay as Replay

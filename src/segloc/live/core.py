@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -23,6 +23,8 @@ from ..tracker import QueryCallback, QueryRequest, Tracker
 from ..tracking.belief import Status, View
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
+from .kept_pose import PoseKeeper
+from .lidar_odometry import LidarOdometry
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
 
@@ -63,6 +65,16 @@ class StateReason(str, Enum):
         "the odometry was reset, or wheels slipped",
         "check the odometry",
     )
+    ODOMETRY_LOST = (
+        "odometry is lost: {fault}",
+        "odometry from the scans: they do not overlap",
+        "drive on: it restarts at its last pose",
+    )
+    SCANS_MISSING = (
+        "no scans for {seconds:.1f} s",
+        "odometry from the scans: some are missing",
+        "drive on: it restarts at its last pose",
+    )
     NO_ODOMETRY = (
         "no odometry at the time of the scan",
         "clocks differ, or messages are late",
@@ -91,12 +103,15 @@ class PendingQuery:
     Attributes
     ----------
     stamp : float
-        Stamp of its scan [s].
+        Of its scan.
     request : QueryRequest
+    near : Prior or None
+        Where the kept pose is checked.
     """
 
     stamp: float
     request: QueryRequest
+    near: Prior | None = None
 
 
 class LiveCore:
@@ -110,8 +125,12 @@ class LiveCore:
     localizer : Localizer
     config : LiveConfig, optional
     T_base_sensor : (4, 4) array, optional
-        Mount of the sensor on the base of the odometry; by default ``local_cloud.mount``, else the
-        sensor is the base.
+        How the sensor is mounted on the base that odometry is of; by default as
+        ``local_cloud.mount`` says, and else the sensor is the base.
+    lidar_odometry : bool
+        Compute the odometry from the scans, by KISS-ICP; none is to be added then.
+    keeper : PoseKeeper, optional
+        Keeps the pose over a restart.
 
     Attributes
     ----------
@@ -128,6 +147,9 @@ class LiveCore:
         localizer: Localizer,
         config: LiveConfig | None = None,
         T_base_sensor: ArrayLike | None = None,
+        *,
+        lidar_odometry: bool = False,
+        keeper: PoseKeeper | None = None,
     ) -> None:
         self.config = config or LiveConfig()
         mount = localizer.config.local_cloud.mount.T_base_sensor
@@ -136,6 +158,13 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
+        self._keeper = keeper
+        if keeper is not None:
+            keeper.use(localizer.prior_map)
+        self._lidar_odometry: LidarOdometry | None = None
+        if lidar_odometry:
+            attitude = localizer.config.local_cloud.attitude
+            self._lidar_odometry = LidarOdometry(self.T_base_sensor, attitude)
         self.scans = self.dropped = self.refused = self.jumps = 0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
@@ -202,8 +231,9 @@ class LiveCore:
                 return []
             self._set_clock(time)
         self._newest = time
+        states = [] if self._lidar_odometry is None else self._register(scan, time)
         self._waiting.append((time, scan))
-        states = self._release(time)
+        states += self._release(time)
         while len(self._waiting) > self.config.waiting:
             self._waiting.popleft()
             self.dropped += 1
@@ -213,7 +243,11 @@ class LiveCore:
         """Return the query to make now, if any; each once."""
         pending, self._due = self._due, None
         self._open = self._open or pending is not None
-        return pending
+        T_odom_base = self.state.T_odom_base
+        if pending is None or self._keeper is None or T_odom_base is None:
+            return pending
+        near = self._keeper.near(pending.stamp, T_odom_base, self.T_base_sensor)
+        return replace(pending, near=near)
 
     def ask(
         self,
@@ -229,6 +263,7 @@ class LiveCore:
         SeglocError
             If it cannot be made.
         """
+        near = near or pending.near
         return self.tracker.ask(pending.request, self.config.deadline_ms, near=near, heard=callback)
 
     def answer(self, pending: PendingQuery, view: View | None) -> State:
@@ -244,12 +279,27 @@ class LiveCore:
         self._asked_at, self._due = -math.inf, None
         return self._report(self.state.stamp)
 
+    def doubt(self, why: str) -> State:
+        """Report that the odometry has lost an unknown motion without a jump of its poses."""
+        return self._jumped(Jump(np.eye(4), why))[0]
+
     def report_silence(self, seconds: float) -> State:
         """Report that no data was received for some time, by the caller's clock."""
         self._fault = StateReason.NO_DATA.format(seconds=seconds)
         return self._report(self.state.stamp)
 
     # --- internal ------------------------------------------------------------------------------
+
+    def _register(self, scan: Scan, stamp: float) -> list[State]:
+        """Compute the odometry of a scan."""
+        assert self._lidar_odometry is not None
+        lost = self._lidar_odometry.losses
+        states: list[State] = []
+        for time, T in self._lidar_odometry.add(scan, stamp):
+            states += self.add_odometry(time, T)
+        if self._lidar_odometry.losses > lost:
+            states.append(self.doubt(self._lidar_odometry.fault))
+        return states
 
     def _release(self, now: float) -> list[State]:
         """Use the scans whose odometry is now known."""
@@ -345,6 +395,10 @@ class LiveCore:
             self.tracker.travelled,
             answered,
         )
+        T_map_base = self.state.T_map_base
+        if self._keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
+            assert T_odom_base is not None
+            self._keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
 
     def _last_pose(self) -> Pose | None:

@@ -21,6 +21,7 @@ from ..tracking.belief import View
 from ..types import Pose, Scan
 from .config import LiveConfig
 from .core import LiveCore, PendingQuery, State
+from .kept_pose import PoseKeeper
 from .odometry import known_stamp
 
 _MAX_POSES, _MAX_SCANS = 4096, 2
@@ -58,6 +59,10 @@ class LiveLocalizer:
     config : LiveConfig, optional
     T_base_sensor : (4, 4) array, optional
         As for :class:`LiveCore`.
+    lidar_odometry : bool
+        Compute the odometry from the scans, by KISS-ICP: :meth:`add_odometry` is not needed.
+    keeper : PoseKeeper, optional
+        Keeps the pose over a restart; written a last time when this is closed.
     on_state : callable, optional
         Called with every :class:`State` in order, in a thread of this object.
 
@@ -77,9 +82,14 @@ class LiveLocalizer:
         config: LiveConfig | None = None,
         *,
         T_base_sensor: ArrayLike | None = None,
+        lidar_odometry: bool = False,
+        keeper: PoseKeeper | None = None,
         on_state: Callable[[State], None] | None = None,
     ) -> None:
-        self._core = LiveCore(localizer, config, T_base_sensor)
+        self._core = LiveCore(
+            localizer, config, T_base_sensor, lidar_odometry=lidar_odometry, keeper=keeper
+        )
+        self._keeper = keeper
         self._state, self._on_state = self._core.state, on_state
         self._changed = threading.Condition()
         self._inbox: deque[_PoseEvent | _ScanEvent | _AnswerEvent] = deque()
@@ -193,6 +203,8 @@ class LiveLocalizer:
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join()
+        if self._keeper is not None:
+            self._keeper.flush()
 
     def _check(self) -> None:
         if self._error is not None:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import geometry
-from ..errors import DatasetError
 from ..localizer import Localizer
 from ..tracking.belief import Status
 from ..types import Float64, Int64, Recording
 from .config import LiveConfig
 from .core import LiveCore, State
+from .kept_pose import PoseKeeper
 from .localizer import LiveLocalizer
 
 NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
@@ -90,27 +90,26 @@ class _Listener:
         return Replay(self.states, np.array(self._latency), np.array(self._query), scans, dropped)
 
 
-def odometry_of(recording: Recording) -> tuple[Float64, Float64]:
-    """Return a clock (N,) [s] and T_odom_sensor (N, 4, 4) with the absolute pose removed.
-
-    The first scan is at the origin and heads along x. Scans without stamps are 0.1 s apart, or as
-    far as they would be at 10 m/s.
-
-    Raises
-    ------
-    DatasetError
-        If there are no poses.
-    """
-    if recording.poses is None or not len(recording):
-        raise DatasetError(
-            f"{recording.name}: online localization needs odometry: --poses FILE or --odometry"
-        )
-    poses = geometry.inverse(geometry.levelled(recording.poses[0])) @ recording.poses
+def clock_of(recording: Recording) -> Float64:
+    """Stamps of the scans [s], (N,); without any, every tenth of a second or by 10 m/s."""
     if recording.stamps is not None:
-        return np.array(recording.stamps, dtype=np.float64), poses
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+        return np.array(recording.stamps, dtype=np.float64)
+    if recording.poses is None:
+        return NOMINAL_S * np.arange(len(recording), dtype=np.float64)
+    steps = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
     seconds = np.maximum(NOMINAL_S, steps / NOMINAL_MPS)
-    return np.concatenate([[0.0], np.cumsum(seconds)]), poses
+    return np.concatenate([[0.0], np.cumsum(seconds)])
+
+
+def motion_of(recording: Recording) -> Float64 | None:
+    """T_odom_sensor, (N, 4, 4): only the motion between the recording's poses is left.
+
+    The first scan stands at the origin and heads along x. None if there are no poses: the motion
+    is computed from the scans.
+    """
+    if recording.poses is None:
+        return None
+    return geometry.inverse(geometry.levelled(recording.poses[0])) @ recording.poses
 
 
 def play(
@@ -120,6 +119,7 @@ def play(
     rate: float = 0.0,
     on_state: StateCallback | None = None,
     progress: Progress | None = None,
+    keeper: PoseKeeper | None = None,
 ) -> Replay:
     """Replay a recording with its poses as the odometry of its sensor.
 
@@ -127,7 +127,8 @@ def play(
     ----------
     localizer : Localizer
     recording : Recording
-        With poses, of which only relative motion is used.
+        Of its poses only the relative motion is used; without any, it is computed from the scans
+        by KISS-ICP.
     config : LiveConfig, optional
     rate : float
         Speed relative to the recording, in threads: late scans are dropped. 0: as fast as
@@ -135,20 +136,26 @@ def play(
     on_state : callable, optional
         Called with the position of the scan and each state.
     progress : callable, optional
-        Called with (scans done, total).
+        Called with (scans done, scans in all).
+    keeper : PoseKeeper, optional
+        Keeps the pose from one recording to the next.
 
     Raises
     ------
     DatasetError
-        If there are no poses, or a scan cannot be read.
+        If a scan cannot be read.
+    MissingDependency
+        If there are no poses, and kiss-icp is not installed.
     """
-    clock, poses = odometry_of(recording)
+    clock, poses = clock_of(recording), motion_of(recording)
     speed = rate or 1.0
     listener = _Listener(clock / speed, on_state)
     play = _in_time if rate > 0 else _in_turn
     scans, dropped = play(
-        localizer, recording, config, clock / speed, poses, listener, progress or _silent
+        localizer, recording, config, clock / speed, poses, listener, progress or _silent, keeper
     )
+    if keeper is not None:
+        keeper.flush()
     return listener.replay(scans, dropped)
 
 
@@ -157,16 +164,18 @@ def _in_turn(
     recording: Recording,
     config: LiveConfig | None,
     clock: Float64,
-    poses: Float64,
+    poses: Float64 | None,
     listener: _Listener,
     progress: Progress,
+    keeper: PoseKeeper | None,
 ) -> tuple[int, int]:
-    """Replay with every query answered before the next scan."""
-    core = LiveCore(localizer, config, np.eye(4))
-    for i, (stamp, T) in enumerate(zip(clock.tolist(), poses, strict=True)):
+    """Every query is answered before the next scan comes."""
+    core = LiveCore(localizer, config, np.eye(4), lidar_odometry=poses is None, keeper=keeper)
+    for i, stamp in enumerate(clock.tolist()):
         scan = recording.scan(i)
         begun = time.perf_counter()
-        states = _timed(core.add_odometry(stamp, T) + core.add_scan(scan, stamp), begun)
+        states = [] if poses is None else core.add_odometry(stamp, poses[i])
+        states = _timed(states + core.add_scan(scan, stamp), begun)
         while (pending := core.due()) is not None:
             states += _timed([core.answer(pending, core.ask(pending))], begun)
         listener.add(i, states)
@@ -179,17 +188,26 @@ def _in_time(
     recording: Recording,
     config: LiveConfig | None,
     clock: Float64,
-    poses: Float64,
+    poses: Float64 | None,
     listener: _Listener,
     progress: Progress,
+    keeper: PoseKeeper | None,
 ) -> tuple[int, int]:
     """Replay in real time; scans that cannot be read in time are dropped."""
     missed, count = 0, len(recording)
-    with LiveLocalizer(localizer, config, T_base_sensor=np.eye(4), on_state=listener) as live:
+    with LiveLocalizer(
+        localizer,
+        config,
+        T_base_sensor=np.eye(4),
+        lidar_odometry=poses is None,
+        keeper=keeper,
+        on_state=listener,
+    ) as live:
         begun = time.monotonic() - clock[0]
         for i in range(count):
             now = time.monotonic() - begun
-            live.add_odometry(clock[i], poses[i])
+            if poses is not None:
+                live.add_odometry(clock[i], poses[i])
             if i + 1 < count and now > clock[i + 1]:
                 missed += 1
                 continue
@@ -231,7 +249,6 @@ def pose_errors(replay: Replay, truths: Float64) -> tuple[Float64, Float64]:
 
 def summary(
     replay: Replay,
-    poses: Float64,
     truths: Float64 | None,
     tolerance_m: float,
     tolerance_deg: float,
@@ -245,14 +262,12 @@ def summary(
     Parameters
     ----------
     replay : Replay
-    poses : (M, 4, 4) float64
-        Of the recording's scans, by its odometry.
     truths : (M, 4, 4) float64 or None
         True T_map_sensor.
     """
     states = [replay.states[int(k)] for k in replay.positions]
     kinds = [state.status for state in states]
-    steps = _steps(poses, replay)
+    steps = np.diff([state.travelled_m for state in states], prepend=0.0)
     fixes = [k for k, kind in enumerate(kinds) if kind is Status.LOCALIZED]
     told: dict[str, Any] = {
         "scans": replay.scans,
@@ -277,12 +292,6 @@ def summary(
         "translation_error_m": _spread(metres[sure]),
         "rotation_error_deg": _spread(degrees[sure]),
     }
-
-
-def _steps(poses: Float64, replay: Replay) -> Float64:
-    """Distance travelled between scans with a published state [m]."""
-    travelled = geometry.travelled(poses)[replay.positions]
-    return np.diff(travelled, prepend=travelled[:1])
 
 
 def _percentiles(values: NDArray[np.float64]) -> dict[str, float | None]:

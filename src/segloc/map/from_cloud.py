@@ -1,7 +1,8 @@
 """A finished cloud -> a map: viewpoints on its free ground, and what is visible from each.
 
-The segments of a view are those that a sensor could cut out there. What it looks through is not
-known, so a map of a cloud without a trajectory has no measured free space.
+The segments of a view are those that a sensor could cut out there. Bare floor was looked at, so
+nothing stood on it: between a viewpoint on free ground and the surfaces around it space is free.
+About viewpoints on a lattice free space stays unknown.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from ..types import Float32, Float64, LocalCloud, MemoryRecording
 from .build import View, add_view, empty_map, tilt_text
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .segment_map import CHOSEN, VIEWPOINTS, SegmentMap
-from .viewpoints import Ground, Occluders, Sight, Uncovered, tops
+from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
+from .viewpoints import SPACING_M, Ground, Occluders, Sight, Uncovered, tops
 from .voxel_cloud import thin
 
 SENSOR_HEIGHT_M = 1.0
@@ -33,14 +34,14 @@ SOURCE, SPACING = "source", "cloud_spacing_m"
 VOXEL_M, OCCLUDER_M = 0.1, 0.3
 """Voxels that the cloud is thinned to, and those of the surfaces that hide others [m]."""
 _COLUMN_M, _MAX_PENDING = 16.0, 4_000_000
-_HEADROOM_M = 0.4  # above a sensor
-_EVERY_M = 8.0  # between viewpoints on a trajectory
-_LATTICE_M, _MIN_LATTICE_POINTS, _LOW_PERCENT = 8.0, 100, 10.0
+_LOW_PERCENT = 10.0  # of the heights in a square of the lattice
 _MARGIN_M = 10.0  # around a column whose ground is sought
 _LEAN_VIEWS, _LEAN_RADIUS_M = 12, 20.0
 
 Points = NDArray[np.floating]
 Progress = Callable[[int, int], None]
+Seen = tuple[Float64, Float32]
+"""A viewpoint, (3,), and the points that are visible from it, (N, 3)."""
 
 
 class ThinCloud:
@@ -100,6 +101,25 @@ class ThinCloud:
         """The points of each column."""
         return (parts[0] for parts in self._columns.values())
 
+    @classmethod
+    def of(cls, points: Points | Iterable[Points]) -> ThinCloud:
+        """Thin a cloud, or its parts.
+
+        Raises
+        ------
+        DatasetError
+            If there are no points.
+        InvalidScan
+            If they are something else.
+        """
+        cloud = cls()
+        for part in [points] if isinstance(points, np.ndarray) else points:
+            cloud.add(part)
+        cloud.thin()
+        if not len(cloud):
+            raise DatasetError("the cloud has no points")
+        return cloud
+
     def spacing(self) -> float:
         """The distance of a point to its neighbours [m], at least about a voxel."""
         densest = max(self.columns(), key=len)
@@ -109,15 +129,21 @@ class ThinCloud:
         """The points within a horizontal distance."""
         parts = [self._columns[key][0] for key in self._keys(at, radius)]
         points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
-        offsets = points[:, :2] - at[:2].astype(np.float32)
-        return np.asarray(points[(offsets**2).sum(axis=1) < radius**2])
+        x, y = (points[:, :2] - at[:2].astype(np.float32)).T
+        return np.asarray(points[x * x + y * y < radius * radius])
 
-    def occluders(self, at: Float64, radius: float) -> Occluders:
-        """The surfaces of the columns within a horizontal distance."""
+    def seen_from(self, eye: Float64, radius: float) -> Seen:
+        """A viewpoint, with what is visible from there."""
+        points = self.near(eye, radius)
+        return eye, points[self.sight(eye, radius).sees(points)]
+
+    def sight(self, at: Float64, radius: float) -> Sight:
+        """What the surfaces within a horizontal distance leave visible."""
         parts = [self._occluder(key) for key in self._keys(at, radius)]
         points = [part.points for part in parts] or [np.empty((0, 3), np.float32)]
         normals = [part.normals for part in parts] or [np.empty((0, 3), np.float32)]
-        return Occluders(np.concatenate(points), np.concatenate(normals), OCCLUDER_M)
+        surfaces = Occluders(np.concatenate(points), np.concatenate(normals), OCCLUDER_M)
+        return Sight(at, surfaces)
 
     def surfaces(self, segmenter: Segmenter) -> Iterator[Float32]:
         """What stands in each column, and its thinned ground: what poses are verified against."""
@@ -181,33 +207,69 @@ def build_from_cloud(
         If ``config`` is none.
     """
     config = checked_build_config(config)
-    cloud = ThinCloud()
-    for part in [points] if isinstance(points, np.ndarray) else points:
-        cloud.add(part)
-    cloud.thin()
-    if not len(cloud):
-        raise DatasetError("the cloud has no points")
-    path = None if trajectory is None else _local_path(trajectory, cloud.origin)
-    descriptor = create(config.method, config.threads, config.weights)
-    prior_map = empty_map(descriptor, config, cloud.origin)
-    poses: list[Float64] = []
-    for view in _views(cloud, config, path, sensor_height, progress):
-        poses.append(view.T_map_local)
-        add_view(prior_map, view, descriptor.describe(view.scene.segments), with_cloud=False)
-    if not len(prior_map):
-        raise DatasetError(
-            f"no segment found in a cloud of {len(cloud)} voxels, from {len(poses)} viewpoints: "
-            "are the coordinates metres, and does the z axis point up?"
-        )
-    for surface in cloud.surfaces(Segmenter(config.segmentation)):
-        prior_map.add_cloud(surface + cloud.origin)
-    prior_map.add_trajectory(np.array(poses) if trajectory is None else np.asarray(trajectory))
-    used = config.model_copy(update={"threads": 0})
-    prior_map.metadata |= {SOURCE: "cloud", SPACING: f"{cloud.spacing():.2f}"}
-    prior_map.metadata |= {"config": used.to_yaml(), **_frame(cloud, poses, config)}
-    if trajectory is None:
-        prior_map.metadata[VIEWPOINTS] = CHOSEN
-    return compacted(prior_map, config.mapping.compact)
+    cloud = ThinCloud.of(points)
+    builder, radius = _Builder(cloud, config), config.local_cloud.radius_m
+    if trajectory is not None:
+        path = _local_path(trajectory, cloud.origin)
+        builder.add_views(_from_path(cloud, path, radius, progress))
+        return builder.finished(np.asarray(trajectory))
+    builder.add_views(_from_ground(cloud, sensor_height, radius, progress))
+    if builder.poses:
+        return builder.finished(np.array(builder.poses))
+    builder.add_views(_from_lattice(cloud, sensor_height, radius))
+    found = builder.finished(np.array(builder.poses))
+    found.metadata[VIEWPOINTS] = LATTICE
+    return found
+
+
+class _Builder:
+    """A map that views of a cloud are added to.
+
+    Attributes
+    ----------
+    poses : list of (4, 4) float64
+        T_map_local of the views so far.
+    """
+
+    def __init__(self, cloud: ThinCloud, config: BuildConfig) -> None:
+        self.poses: list[Float64] = []
+        self._cloud, self._config = cloud, config
+        self._segmenter = Segmenter(config.segmentation)
+        self._descriptor = create(config.method, config.threads, config.weights)
+        self._map = empty_map(self._descriptor, config, cloud.origin)
+
+    def add_views(self, views: Iterable[Seen]) -> None:
+        """Segment and describe what is visible from each viewpoint."""
+        for eye, points in views:
+            local = np.ascontiguousarray(points - eye.astype(np.float32))
+            scene = self._segmenter.segment(LocalCloud(local, np.eye(4), num_scans=2))
+            pose = geometry.rigid(np.eye(3), eye + self._cloud.origin)
+            view = View(pose, float(len(self.poses)), scene)
+            described = self._descriptor.describe(scene.segments)
+            add_view(self._map, view, described, with_cloud=False)
+            self.poses.append(pose)
+
+    def finished(self, trajectory: Float64) -> SegmentMap:
+        """The map with the surfaces of the whole cloud.
+
+        Raises
+        ------
+        DatasetError
+            If no view has a segment.
+        """
+        cloud, config, built = self._cloud, self._config, self._map
+        if not len(built):
+            raise DatasetError(
+                f"no segment found in a cloud of {len(cloud)} voxels, from {len(self.poses)} "
+                "viewpoints: are the coordinates metres, and does the z axis point up?"
+            )
+        for surface in cloud.surfaces(self._segmenter):
+            built.add_cloud(surface + cloud.origin)
+        built.add_trajectory(trajectory)
+        used = config.model_copy(update={"threads": 0})
+        built.metadata |= {SOURCE: "cloud", SPACING: f"{cloud.spacing():.2f}"}
+        built.metadata |= {"config": used.to_yaml(), **_frame(cloud, self.poses, config)}
+        return compacted(built, config.mapping.compact)
 
 
 def _local_path(trajectory: ArrayLike, origin: Float64) -> Float64:
@@ -219,66 +281,40 @@ def _local_path(trajectory: ArrayLike, origin: Float64) -> Float64:
     return np.asarray(poses[:, :3, 3] - origin)
 
 
-def _views(
-    cloud: ThinCloud,
-    config: BuildConfig,
-    path: Float64 | None,
-    sensor_height: float,
-    progress: Progress | None,
-) -> Iterator[View]:
-    """What is visible from each viewpoint, segmented."""
-    segmenter, radius = Segmenter(config.segmentation), config.local_cloud.radius_m
-    seen = _from_path(cloud, path, radius, progress) if path is not None else None
-    for k, (eye, points) in enumerate(seen or _chosen(cloud, sensor_height, radius, progress)):
-        local = np.ascontiguousarray(points - eye.astype(np.float32))
-        scene = segmenter.segment(LocalCloud(local, np.eye(4), num_scans=2))
-        yield View(geometry.rigid(np.eye(3), eye + cloud.origin), float(k), scene)
-
-
 def _from_path(
     cloud: ThinCloud, path: Float64, radius: float, progress: Progress | None
-) -> Iterator[tuple[Float64, Float32]]:
-    """Stations of a trajectory, with what is visible from each."""
-    stations = geometry.stations(geometry.arc_length(path), _EVERY_M)
+) -> Iterator[Seen]:
+    """Stations of a trajectory."""
+    stations = geometry.stations(geometry.arc_length(path), SPACING_M)
     for done, eye in enumerate(path[stations]):
-        sight, points = Sight(eye, cloud.occluders(eye, radius)), cloud.near(eye, radius)
-        yield eye, points[sight.sees(points)]
+        yield cloud.seen_from(eye, radius)
         if progress:
             progress(done + 1, len(stations))
 
 
-def _chosen(
+def _from_ground(
     cloud: ThinCloud, sensor_height: float, radius: float, progress: Progress | None
-) -> Iterator[tuple[Float64, Float32]]:
-    """Viewpoints on free ground, or else on a lattice, with what is visible from each."""
-    ground = Ground.of(
-        np.concatenate([tops(c, sensor_height + _HEADROOM_M) for c in cloud.columns()])
-    )
-    uncovered, any_found = Uncovered(ground, sensor_height), False
+) -> Iterator[Seen]:
+    """Viewpoints on free ground, until all of it is covered."""
+    ground = Ground.of(np.concatenate([tops(c, sensor_height) for c in cloud.columns()]))
+    uncovered = Uncovered(ground, sensor_height)
     total = uncovered.left
     while (place := uncovered.next()) is not None:
         eye = uncovered.eye(place)
-        sight = Sight(eye, cloud.occluders(eye, radius))
+        sight, points = cloud.sight(eye, radius), cloud.near(eye, radius)
         uncovered.cover(place, sight)
-        points = cloud.near(eye, radius)
         if uncovered.is_floor(place, points):
-            any_found = True
             yield eye, points[sight.sees(points)]
         if progress:
             progress(total - uncovered.left, total)
-    if not any_found:
-        for eye in _lattice(cloud, sensor_height):
-            sight, points = Sight(eye, cloud.occluders(eye, radius)), cloud.near(eye, radius)
-            yield eye, points[sight.sees(points)]
 
 
-def _lattice(cloud: ThinCloud, sensor_height: float) -> Iterator[Float64]:
+def _from_lattice(cloud: ThinCloud, sensor_height: float, radius: float) -> Iterator[Seen]:
     """Viewpoints over the lowest points of each square."""
-    cells = [np.unique(np.floor(c[:, :2] / _LATTICE_M), axis=0) for c in cloud.columns()]
-    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * _LATTICE_M:
-        near = cloud.near(xy, _LATTICE_M)
-        if len(near) >= _MIN_LATTICE_POINTS:
-            yield np.append(xy, np.percentile(near[:, 2], _LOW_PERCENT) + sensor_height)
+    cells = [np.unique(np.floor(c[:, :2] / SPACING_M), axis=0) for c in cloud.columns()]
+    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M:
+        low = np.percentile(cloud.near(xy, SPACING_M)[:, 2], _LOW_PERCENT)
+        yield cloud.seen_from(np.append(xy, low + sensor_height), radius)
 
 
 def _frame(cloud: ThinCloud, poses: list[Float64], config: BuildConfig) -> dict[str, str]:

@@ -25,8 +25,9 @@ from .voxel_cloud import VoxelCloud
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-VIEWPOINTS, CHOSEN = "viewpoints", "chosen"
-"""Metadata key and value of maps whose trajectory holds computed viewpoints, not sensor poses."""
+VIEWPOINTS, LATTICE = "viewpoints", "lattice"
+"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
+space is known."""
 
 
 class SegmentMap(SegmentTable):
@@ -166,9 +167,12 @@ class SegmentMap(SegmentTable):
 
     @property
     def sensor_positions(self) -> Float64:
-        """Positions of the sensor, (M, 3); empty if the viewpoints were computed."""
-        chosen = CHOSEN in self.metadata.get(VIEWPOINTS, "")
-        positions: Float64 = self.trajectory[: 0 if chosen else None, :3, 3]
+        """Positions about which free space is known, (M, 3): of the sensor, or on a cloud's ground.
+
+        Viewpoints on a lattice are none.
+        """
+        lattice = LATTICE in self.metadata.get(VIEWPOINTS, "")
+        positions: Float64 = self.trajectory[: 0 if lattice else None, :3, 3]
         return positions
 
     @property

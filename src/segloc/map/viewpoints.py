@@ -8,7 +8,6 @@ hide each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,26 +22,27 @@ Bools = NDArray[np.bool_]
 
 CELL_M, STEP_M = 0.5, 0.3
 """Cells of the ground, and the step between two of them that a sensor can take [m]."""
+SPACING_M = 8.0
+"""Distance between viewpoints in sight of each other [m]."""
 _HEADROOM_M = 0.4  # above the sensor
 _MIN_AREA_M2, _MAX_MIN_AREA_M2, _MIN_AREA_SHARE = 6.0, 30.0, 0.05  # of connected ground
 _MAX_CLEARANCE_M = 8.0
 _MIN_NEIGHBOURS = 7  # of 8, around a cell of ground that has room
-_SPACING_M, _SAME_M = 8.0, 2.0  # ground in sight nearer than this needs no viewpoint of its own
+_SAME_M = 2.0  # ground nearer than this needs no viewpoint of its own, even if it is out of sight
 _STOREY_M = 1.5
 _AROUND_M, _BAND_M, _SPARE_CELLS = 8.0, (1.0, 2.0), 8
-_MIN_PLANE_CELLS = 6
 _BIN_RAD = np.radians(1.0)
 _LEVELS = 5  # of direction bins, each twice as wide
 _BEHIND_M, _OFF_PLANE_M = 0.5, 0.3
 
 
-def tops(points: Float32, headroom_m: float) -> Float64:
-    """Tops of what stands in each cell with room above them.
+def tops(points: Float32, sensor_height_m: float) -> Float64:
+    """Tops of what stands in each cell with room for a sensor above them.
 
     Parameters
     ----------
     points : (N, 3) float32
-    headroom_m : float
+    sensor_height_m : float
 
     Returns
     -------
@@ -53,7 +53,7 @@ def tops(points: Float32, headroom_m: float) -> Float64:
     order = np.lexsort((points[:, 2], cells[:, 0], cells[:, 1]))
     cells, z = cells[order], points[order, 2].astype(np.float64)
     ends = (np.diff(cells, axis=0, append=cells[-1:] + 1) != 0).any(axis=1)
-    room = ends | (np.diff(z, append=np.inf) > headroom_m)
+    room = ends | (np.diff(z, append=np.inf) > sensor_height_m + _HEADROOM_M)
     return np.column_stack([(cells[room] + 0.5) * CELL_M, z[room]])
 
 
@@ -108,7 +108,7 @@ class Sight:
     def __init__(self, eye: Float64, occluders: Occluders) -> None:
         self._eye = eye
         self._rays = (occluders.points - eye).astype(np.float32)
-        self._ranges = np.linalg.norm(self._rays, axis=1)
+        self._ranges = _lengths(self._rays)
         self._normals = occluders.normals
         nearest_last = np.argsort(-self._ranges, kind="stable")
         with np.errstate(divide="ignore"):
@@ -119,37 +119,46 @@ class Sight:
             rows = nearest_last[levels == level]
             width = _BIN_RAD * 2**level
             image = np.full(_shape(width), -1, np.int64)
-            image[_bins(self._rays[rows], self._ranges[rows], width)] = rows
+            image[_bins(*_angles(self._rays[rows], self._ranges[rows]), width)] = rows
             self._images.append((width, image))
 
     def sees(self, points: NDArray[np.floating]) -> Bools:
         """Which of (N, 3) points are not hidden, (N,)."""
         rays = (points - self._eye).astype(np.float32)
-        ranges = np.linalg.norm(rays, axis=1)
-        seen = np.ones(len(points), bool)
+        ranges = _lengths(rays)
+        azimuth, elevation = _angles(rays, ranges)
+        left = np.arange(len(points))
         for width, image in self._images:
-            nearest = image[_bins(rays, ranges, width)]
-            rows = np.flatnonzero(nearest >= 0)
-            by = nearest[rows]
-            rows, by = _chosen(ranges[rows] > self._ranges[by] + _BEHIND_M, rows, by)
-            n = self._normals[by]
-            off = np.abs(((rays[rows] - self._rays[by]) * n).sum(axis=1))
-            seen[rows[(off > _OFF_PLANE_M) | ~n.any(axis=1)]] = False
+            by = image[_bins(azimuth[left], elevation[left], width)]
+            before = np.flatnonzero((by >= 0) & (ranges[left] > self._ranges[by] + _BEHIND_M))
+            by, rows = by[before], left[before]
+            normals = self._normals[by]
+            off = np.abs(np.einsum("ij,ij->i", rays[rows] - self._rays[by], normals))
+            no_plane = ~normals.any(axis=1)
+            left = np.delete(left, before[(off > _OFF_PLANE_M) | no_plane])
+        seen = np.zeros(len(points), bool)
+        seen[left] = True
         return seen
 
 
-def _chosen(mask: Bools, *arrays: Int64) -> Iterator[Int64]:
-    return (array[mask] for array in arrays)
+def _lengths(rays: Float32) -> Float32:
+    lengths: Float32 = np.sqrt(np.einsum("ij,ij->i", rays, rays))
+    return lengths
+
+
+def _angles(rays: Float32, ranges: Float32) -> tuple[Float32, Float32]:
+    """Azimuth and elevation of each ray, from 0 on [rad]."""
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + np.float32(np.pi)
+    elevation = np.arcsin(np.clip(rays[:, 2] / np.maximum(ranges, 1e-6), -1, 1))
+    return azimuth, elevation + np.float32(np.pi / 2)
 
 
 def _shape(width: float) -> tuple[int, int]:
     return int(2 * np.pi / width) + 2, int(np.pi / width) + 2
 
 
-def _bins(rays: Float32, ranges: Float32, width: float) -> tuple[Int64, Int64]:
+def _bins(azimuth: Float32, elevation: Float32, width: float) -> tuple[Int64, Int64]:
     """The direction bin of each ray."""
-    azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + np.pi
-    elevation = np.arcsin(np.clip(rays[:, 2] / np.maximum(ranges, 1e-6), -1, 1)) + np.pi / 2
     return (azimuth / width).astype(np.int64), (elevation / width).astype(np.int64)
 
 
@@ -206,9 +215,7 @@ class Uncovered:
     def _slope(self, place: int) -> Float64:
         """How the ground about a place rises along x and y."""
         offsets = self._eyes[self._around(place, _AROUND_M)] - self._eyes[place]
-        if len(offsets) < _MIN_PLANE_CELLS:
-            return np.zeros(2)
-        # a ridge keeps the slope of a narrow strip, across which nothing is known, near zero
+        # a ridge keeps the slope of few cells, or across a narrow strip, near zero
         xy, z = offsets[:, :2], offsets[:, 2]
         slope: Float64 = np.linalg.solve(xy.T @ xy + len(xy) * np.eye(2), xy.T @ z)
         return slope
@@ -216,7 +223,7 @@ class Uncovered:
     def cover(self, place: int, sight: Sight) -> None:
         """Take out what a viewpoint at a place shows as well as another would."""
         eye = self._eyes[place]
-        reach = max(_SPACING_M, float(self._ground.clearance[place]))
+        reach = max(SPACING_M, float(self._ground.clearance[place]))
         near = self._around(place, reach)
         near = near[self._open[near]]
         close = np.linalg.norm(self._eyes[near] - eye, axis=1) < _SAME_M

@@ -12,6 +12,8 @@ from ..geometry import Separation
 from ..system.section import Section
 from ..types import Candidate, Float64, Int64, Matches, Pose
 
+_MAX_KEY = 65_535
+
 
 class ConsistencyConfig(Section):
     """Consistency of matches, and the size of a set."""
@@ -80,20 +82,38 @@ class Agreement:
     def __init__(
         self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
     ) -> None:
-        self._from = np.ascontiguousarray(query[matches.query].T)
-        self._to = np.ascontiguousarray(map_centroids[matches.map].T)
-        self._objects = _objects(query, config.distinct_radius)[matches.query]
+        x = map_centroids[matches.map, 0]
+        self._low = float(x.min()) if len(x) else 0.0
+        self._step = max(float(np.ptp(x)) / _MAX_KEY, 1e-9) if len(x) else 1.0
+        keys = ((x - self._low) / self._step).astype(np.uint16)
+        order = np.argsort(keys, kind="stable")  # a radix sort of 16 bits
+        rows, columns = matches.query[order], matches.map[order]
+        self._keys = keys[order]
+        self._from = np.ascontiguousarray(query[rows].T)
+        self._to = np.ascontiguousarray(map_centroids[columns].T)
+        self._objects = _objects(query, config.distinct_radius)[rows]
+        farthest = float(np.linalg.norm(query, axis=1).max()) if len(query) else 0.0
+        self._reach_m = 1.001 * farthest + config.inlier_tolerance
         self._config = config
 
     def __call__(self, T_map_local: Pose) -> int:
         """Distinct objects with a match that fits the pose."""
-        config = self._config
-        off = [self._off(T_map_local[axis], axis) for axis in (0, 1)]
-        fits = np.flatnonzero(off[0] ** 2 + off[1] ** 2 < config.inlier_tolerance**2)
+        config, near = self._config, self._within_reach(T_map_local[0, 3])
+        off = [self._off(T_map_local[axis], axis, near) for axis in (0, 1)]
+        fits = np.flatnonzero(off[0] ** 2 + off[1] ** 2 < config.inlier_tolerance**2) + near.start
         level = np.abs(self._off(T_map_local[2], 2, fits)) < config.height_tolerance
         return len(set(self._objects[fits[level]].tolist()))
 
-    def _off(self, row: Float64, axis: int, some: Int64 | slice = slice(None)) -> Float64:
+    def _within_reach(self, x: float) -> slice:
+        """Rows of the matches whose map segment the query can reach along the x axis."""
+        ends = [(x + reach - self._low) / self._step for reach in (-self._reach_m, self._reach_m)]
+        low, high = np.clip([np.floor(ends[0]) - 1, np.ceil(ends[1]) + 1], 0, _MAX_KEY)
+        return slice(
+            int(np.searchsorted(self._keys, np.uint16(low), side="left")),
+            int(np.searchsorted(self._keys, np.uint16(high), side="right")),
+        )
+
+    def _off(self, row: Float64, axis: int, some: Int64 | slice) -> Float64:
         """By how much some of the matches miss along an axis, by its row of the pose."""
         x, y, z = self._from[:, some]
         moved: Float64 = row[0] * x + row[1] * y + row[2] * z + row[3]

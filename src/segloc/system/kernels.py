@@ -1,5 +1,6 @@
 """Native kernels for training, peers and benchmarks, by public names."""
 
+from .._native import DescriptorIndex as DescriptorIndex
 from .._native import Network as Network
 from .._native import PointIndex as PointIndex
 from .._native import Surface as Surface

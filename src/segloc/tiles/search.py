@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import replace
 from threading import Lock
 from typing import Any, Protocol, TypeVar
 
@@ -11,16 +12,16 @@ import numpy as np
 
 from ..likelihood import Posterior
 from ..likelihood.posterior import log_odds
-from ..localization import Localization, Reason
+from ..localization import Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
-from ..pipeline import Search, answer
+from ..pipeline import Search
 from ..prior import Prior, within
 from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
-from ..types import Candidate, Matches
+from ..types import Candidate, Float64, Matches
 from .index import Tile, TileIndex
 
 MAX_VOTED, MAX_ALL = 4, 10
@@ -67,10 +68,10 @@ class TileSearch:
         )
         self._settings = config.to_yaml()
 
-    def locate(
+    def search(
         self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
-    ) -> Localization:
-        """Return the pose of a query, or the reason why there is none.
+    ) -> Search:
+        """Search the tiles that a query may be in.
 
         Raises
         ------
@@ -80,15 +81,28 @@ class TileSearch:
         index = self._tiles.index
         tiles = index.tiles if near is None else index.near(near)
         matches, found = self._proposed(query, near, times) if len(tiles) > 1 else (_NONE, [])
-        only = None if near is None else Prior(near.position, near.radius_m)
-        result: Localization | None = None
+        only = None if near is None else replace(near, anywhere=False)
+        result: Search | None = None
         for chosen in self._named(query, tiles, found, near, times):
-            result = self._searching(chosen, times).locate(query, times, deadline_ms, only)
-            if result.localized or times.beyond(deadline_ms):
+            result = self._searching(chosen, times).search(query, times, deadline_ms, only)
+            if result.reason is None or times.beyond(deadline_ms):
                 return result
         if near is not None and near.anywhere:
-            return self.locate(query, times, deadline_ms, None)
-        return result or _nowhere(query, matches, found, times, near)
+            return self.search(query, times, deadline_ms, None)
+        return result or _nowhere(matches, found, near)
+
+    def around(self, position: Float64) -> Localizer | None:
+        """Return the localizer in the tile at a (3,) position; None beside all tiles.
+
+        Raises
+        ------
+        MapFormatError
+            If the tile cannot be had; names its file.
+        """
+        (tile,) = self._tiles.index.owners(position[None])
+        if tile is None:
+            return None
+        return self._searching((tile,), StageTimes(self._coarse.clock))
 
     def _proposed(
         self, query: Query, near: Prior | None, times: StageTimes
@@ -201,18 +215,11 @@ def _bytes(localizer: Localizer) -> int:
     return 4 * localizer.prior_map.memory_bytes
 
 
-def _nowhere(
-    query: Query,
-    matches: Matches,
-    found: list[Candidate],
-    times: StageTimes,
-    near: Prior | None,
-) -> Localization:
-    """Return the answer if no tile has enough votes."""
+def _nowhere(matches: Matches, found: list[Candidate], near: Prior | None) -> Search:
+    """The result where no tile has a right to be searched."""
     reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
-    message = f"{reason} (at most {most} segments agree on a place, as by chance)"
-    search = Search(len(matches), matches, found, Posterior(), reason, message, near=near)
-    return answer(query, search, times.with_total())
+    message = f"{reason} (of the segments {most} agree on a place, as by chance)"
+    return Search(len(matches), matches, found, Posterior(), reason, message, near=near)
 
 
 class Recent:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,19 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 from samples.streams import walked
 
-from segloc import Config, Scan, build_map, geometry
+from segloc import Config, Scan, SegmentMap, build_map, geometry
+from segloc.map.georeference import KEY, Georeference
+from segloc.tiles import cut_tiles
 from segloc.types import Pose
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("tf2_msgs")
 
+from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from segloc_ros.messages import pose_in, pose_out  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out, transform_in  # noqa: E402
+from sensor_msgs.msg import NavSatFix  # noqa: E402
 
 pytestmark = pytest.mark.slow
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
@@ -135,6 +140,165 @@ def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
         node.send_signal(signal.SIGINT)
         assert node.wait(WAIT_S) == 0
     assert b"Traceback" not in log.read_bytes()
+
+
+def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """No odometry comes in: the node computes it, publishes it, and is localized by it."""
+    pytest.importorskip("kiss_icp")
+    peer.clear()
+    options = PARAMETERS | {"odometry": "kiss-icp", "query_every_m": 10}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.ready(odometry=False)
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(40, odometry=False, step=0.5, every_s=0.1)
+        assert localized(peer, truth), peer.said
+        sent = [t for message in peer.heard["tf"] for t in message.transforms]
+        assert {t.child_frame_id for t in sent} == {"odom", "base_link"}
+        T_odom_base = pose_in(peer.heard["odom"][-1].pose.pose)
+        assert off(peer.map_to_odom() @ T_odom_base, truth) < 0.5
+
+
+def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """Boots where it was switched off, elsewhere, and with another map."""
+    kept = tmp_path / "pose.json"
+    options = PARAMETERS | {"pose_file": str(kept), "click_s": 2.0, "click_radius_m": 5.0}
+    boots = [
+        ("site", np.eye(4), "no file"),
+        ("site", np.eye(4), "kept pose confirmed"),
+        ("site", geometry.yaw_transform(2.5, (3.0, -24.0, 0.0)), "not confirmed within 2 s"),
+        ("shifted", np.eye(4), "of another map"),
+    ]
+    for k, (name, carried, said) in enumerate(boots):
+        peer.clear()
+        log = tmp_path / f"log {k}"
+        with running(NODE, log, map=str(maps / f"{name}.segmap"), **options) as node:
+            peer.ready()
+            peer.tell_mount()
+            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+            peer.spin(1.0)
+            truth = peer.walk(7, begin=(3.0 * k - 14.0, 1.0), step=0.5, carried=carried)
+            truth = SHIFT @ truth if name == "shifted" else truth
+            assert localized(peer, truth), peer.said
+            assert all(off(pose_in(m.pose.pose), truth) < 3.0 for m in peer.heard["pose"])
+            node.send_signal(signal.SIGINT)
+            assert node.wait(WAIT_S) == 0
+        assert said in log.read_text()
+        T = np.array(json.loads(kept.read_text())["T_map_base"])
+        assert off(T, truth) < 0.5
+
+
+def test_maps_are_replaced_while_it_drives(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """By the service: tiles, a file that is none, and a map of another frame; by the parameter."""
+    from rcl_interfaces.srv import SetParameters
+
+    peer.clear()
+    cut_tiles(SegmentMap.load(maps / "site.segmap"), tmp_path / "tiles", size_m=50.0)
+    log, site = tmp_path / "log", maps / "site.segmap"
+    with running(NODE, log, map=str(site), **PARAMETERS):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        peer.walk(2, step=1.0)
+        assert peer.load_map(tmp_path / "tiles", np.eye(4)).success
+        truth = peer.walk(4, begin=(-11.0, 1.2), step=1.0)
+        assert localized(peer, truth), peer.said
+        refused = peer.load_map(tmp_path / "nothing.segmap")
+        assert not refused.success and "nothing.segmap" in refused.message
+        truth = peer.walk(2, begin=(-7.0, 1.4), step=1.0)
+        assert localized(peer, truth), peer.said
+        assert peer.load_map(maps / "shifted.segmap", SHIFT).success
+        truth = peer.walk(4, begin=(-5.0, 1.5), step=1.0)
+        assert localized(peer, SHIFT @ truth), peer.said
+        peer.heard["map_cloud"].clear()
+        value = Parameter("map", value=str(site)).to_parameter_msg()
+        client = peer.create_client(SetParameters, "/segloc/set_parameters")
+        peer.until(client.service_is_ready, WAIT_S)
+        peer.ask(client, SetParameters.Request(parameters=[value]), again_s=10.0)
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        truth = peer.walk(4, begin=(-1.0, 1.6), step=1.0)
+        assert localized(peer, truth), peer.said
+    assert b"Traceback" not in log.read_bytes()
+
+
+def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
+    peer: Peer, maps: Path, tmp_path: Path
+) -> None:
+    """GNSS has no fix, then one that is 30 m off, sure of 1 m; then the odometry slips by 0.8 m."""
+    pytest.importorskip("pyproj")
+    site = SegmentMap.load(maps / "site.segmap")
+    here = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
+    site.metadata[KEY] = here.to_text()
+    site.save(tmp_path / "site.segmap")
+    longitude, latitude, _ = here.on_globe(np.array([[16.0, 4.0, 0.0]]))[0].tolist()
+    fix = NavSatFix(longitude=longitude, latitude=latitude, position_covariance_type=2)
+    fix.status.status = fix.status.STATUS_FIX
+    fix.position_covariance = np.eye(3).ravel().tolist()
+    peer.clear()
+    options = PARAMETERS | {
+        "mode": "tf", "more_points_topics": "[rear]", "fix_topic": "fix", "smooth_tf": "true",
+        "smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0,
+    }  # fmt: skip
+    with running(NODE, tmp_path / "log", map=str(tmp_path / "site.segmap"), **options):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.until(peer.fix.get_subscription_count, WAIT_S)
+        peer.fix.publish(NavSatFix())
+        peer.walk(2, rear=True, step=0.0)
+        peer.fix.publish(fix)
+        peer.spin(1.0)
+        peer.relocalize()
+        truth = peer.walk(14, rear=True, step=0.5)
+        assert localized(peer, truth), peer.said
+        assert off(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 8.0
+        half = len(peer.plaza.scan(truth @ MOUNT, posed=False).points) / 2
+        assert float(peer.values["points"]) > 1.5 * half
+        peer.heard["tf"].clear()
+        slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.8, 0.0, 0.0))
+        peer.walk(8, rear=True, step=0.5, begin=(-7.0, 2.4), T_map_odom=slipped)
+        sent = [transform_in(t) for message in peer.heard["tf"] for t in message.transforms]
+        base = (geometry.inverse(slipped) @ truth)[:3, 3]
+        at = [(t.stamp, geometry.transform(t.T_parent_child, base[None])[0]) for t in sent]
+        assert len(at) > 10 and 0.2 < np.linalg.norm(at[-1][1] - at[0][1]) < 1.0
+        for (begin, a), (end, b) in pairwise(at):
+            assert np.linalg.norm(b - a) < 0.1 * (end - begin) + 0.05
+
+
+def test_a_lift(peer: Peer, plaza: Plaza, tmp_path: Path) -> None:
+    """From storey 0 to 2, which its odometry does not notice: by load_map, and in one map."""
+    up = geometry.yaw_transform(0.0, (0.0, 0.0, 8.0))
+    walk = PlazaSequence(plaza).poses
+    storeys, scans = [plaza, Plaza(5), Plaza(6)], []
+    for k, storey in enumerate(storeys):
+        poses = np.linalg.matrix_power(up, k) @ walk
+        storey.points = storey.points + [0.0, 0.0, 8.0 * k]
+        scans.append([storey.scan(T, seed=i) for i, T in enumerate(poses)])
+        build_map(scans[k], Config.preset("geo")).save(tmp_path / f"{k}.segmap")
+    build_map([scan for each in scans for scan in each], Config.preset("geo")).save(
+        tmp_path / "all.segmap"
+    )
+    lifted = up @ up
+    for name in ("0", "all"):
+        peer.clear()
+        with running(NODE, tmp_path / "log", map=str(tmp_path / f"{name}.segmap"), **PARAMETERS):
+            peer.ready()
+            peer.tell_mount()
+            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+            peer.spin(1.0)
+            peer.plaza = storeys[0]
+            truth = peer.walk(4, step=1.0)
+            assert localized(peer, truth), peer.said
+            if name == "0":
+                assert peer.load_map(tmp_path / "2.segmap", np.eye(4)).success
+            peer.plaza = storeys[2]
+            peer.clear()
+            count = 6 if name == "0" else 20
+            truth = peer.walk(count, begin=(-10.0, 1.4), step=1.0, carried=lifted)
+            peer.plaza = storeys[0]
+            assert localized(peer, truth), peer.said
 
 
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:

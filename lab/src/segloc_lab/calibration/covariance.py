@@ -30,7 +30,7 @@ from segloc.batch import query_clouds
 from segloc.likelihood import ERRORS, ErrorModel
 from segloc.types import Float64, LocalCloud, Pose
 
-from ..protocols.real import maps, queries
+from ..protocols.real import maps, queries, sources
 from ..report import head, parser, row
 from .worlds import EVERY_M, KINDS, SimulatedWorld, views, worlds
 
@@ -85,7 +85,9 @@ def rows_of(world: SimulatedWorld, config: Config) -> Iterator[Row]:
 
 def real_rows(data: Path, config: Config) -> tuple[Float64, list[str]]:
     """The errors of queries of real recordings in the maps of their places, and their names."""
-    localizers = {name: Localizer(made, config) for name, made in maps(data, config).items()}
+    localizers = {
+        name: Localizer(made, config) for name, made in maps(sources(data), config).items()
+    }
     rows: list[Row] = []
     names: list[str] = []
     for chosen in queries(data, REAL_STEP):

@@ -23,7 +23,7 @@ from segloc.proposals import Query
 from segloc.types import Float64
 
 from ..report import Cell, Table, publish, reporting, share
-from .real import maps, outcome, queries
+from .real import maps, outcome, queries, sources
 
 REPEATS = 5
 SIZES = ("way", "map", "km", "segments", "MB a km", "ms to load a km")
@@ -82,7 +82,7 @@ class Comparison:
     def __init__(self, data: Path, config: Config, only: str, step: int) -> None:
         self._queries: list[tuple[str, tuple[str, ...], Float64, Query]] = []
         whole = config.model_copy(update={"mapping": _WHOLE})
-        self.whole = maps(data, whole)
+        self.whole = maps(sources(data), whole)
         describer = Localizer(next(iter(self.whole.values())), whole)
         for chosen in queries(data, step):
             if not chosen.name.startswith(only) or not chosen.maps or chosen.truths is None:

@@ -192,7 +192,7 @@ def _along(stream: Stream, positions: range) -> Iterator[Step]:
 
 
 def _covered(stream: Stream) -> np.ndarray:
-    path = stream.localizer.in_one_piece().prior_map.trajectory
+    path = stream.localizer.prior_map.trajectory
     return np.asarray(distances_to_path(stream.truths, path) <= COVERAGE_RADIUS_M)
 
 

@@ -3,6 +3,7 @@ r"""All real recordings at once: level and turned, in their own maps and in fore
 The corridor of a VLP-16 driven back the other way, a lab seen by a MID-360 on other days, and
 KITTI odometry 00 and ten other drives of it. Each query is localized in the map of its place, in
 the mirror image of that map, and in the maps of all other places. What it answers there is false.
+With ``--clouds`` maps are built from one cloud each, without scans and poses.
 
     python -m segloc_lab.protocols.real DATA --out real.json
 """
@@ -11,9 +12,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -66,16 +67,32 @@ class Queries:
     maps: tuple[str, ...]
 
 
-def maps(data: Path, config: Config) -> dict[str, SegmentMap]:
-    """A map of every place, or of every session."""
+def sources(data: Path) -> dict[str, Recording]:
+    """What is mapped: every place, or every session."""
     kitti = data / "kitti00"
-    sources: dict[str, Recording] = {
+    found: dict[str, Recording] = {
         "corridor, out": _corridor(data, OUT),
         "kitti, first half": kitti00.mapped(kitti, "sparse"),
         "kitti, later passes": kitti00.mapped(kitti, "single"),
     }
-    sources |= {f"lab, {s}": _lab(data, s) for s in LAB}
-    return {name: build_map(source, config) for name, source in sources.items()}
+    return found | {f"lab, {s}": _lab(data, s) for s in LAB}
+
+
+def maps(
+    mapped: dict[str, Recording], config: Config, clouds: bool = False
+) -> dict[str, SegmentMap]:
+    """A map of each recording, of its scans or of all of them as one cloud."""
+    if not clouds:
+        return {name: build_map(source, config) for name, source in mapped.items()}
+    return {
+        name: SegmentMap.from_cloud(posed_clouds(source), config) for name, source in mapped.items()
+    }
+
+
+def posed_clouds(recording: Recording) -> Iterator[Float64]:
+    """The points of each scan, (N, 3), in the frame of the recording's poses."""
+    for i, T in enumerate(kitti00.poses_of(recording)):
+        yield geometry.transform(T, recording.scan(i).points)
 
 
 def _corridor(data: Path, select: str, posed: bool = True) -> Recording:
@@ -151,10 +168,26 @@ def _seen(turned: Turned, truths: Float64, positions: Int64 | None = None) -> Fl
 
 
 class Judge:
-    """Localize queries in all maps, and record every result."""
+    """Localizes queries in all maps, and keeps a record of every answer.
 
-    def __init__(self, places: dict[str, SegmentMap], config: Config, foreign: bool = True) -> None:
-        self._foreign = foreign
+    Parameters
+    ----------
+    places : dict of str to SegmentMap
+    paths : dict of str to (V, 4, 4) float64
+        Where the sensor was when each place was mapped.
+    config : Config
+    foreign : bool
+        Whether to search in the maps of other places and in mirrored ones, too.
+    """
+
+    def __init__(
+        self,
+        places: dict[str, SegmentMap],
+        paths: dict[str, Float64],
+        config: Config,
+        foreign: bool = True,
+    ) -> None:
+        self._foreign, self._paths = foreign, paths
         self._own = {name: Localizer(place, config) for name, place in places.items()}
         self._mirrored = cache(lambda name: Localizer(mirrored(places[name]), config))
         self._first = next(iter(self._own.values()))
@@ -175,7 +208,7 @@ class Judge:
                 spent = common + 1e3 * (time.process_time() - start)
                 best = search.posterior.best
                 own = name in chosen.maps
-                near = own and truth is not None and self._covered(localizer, truth)
+                near = own and truth is not None and self._covered(name, truth)
                 self.records.append(
                     {
                         "queries": chosen.name,
@@ -201,10 +234,8 @@ class Judge:
         for name in chosen.maps[:1] if self._foreign else ():
             yield f"{name}, mirrored", self._mirrored(name)
 
-    @staticmethod
-    def _covered(localizer: Localizer, truth: Pose) -> bool:
-        path = localizer.prior_map.trajectory
-        return bool(distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M)
+    def _covered(self, name: str, truth: Pose) -> bool:
+        return bool(distances_to_path(truth[None], self._paths[name])[0] <= COVERAGE_RADIUS_M)
 
 
 def outcome(estimate: Pose | None, truth: Pose | None) -> str:
@@ -262,11 +293,15 @@ def main() -> None:
     options.add_argument("--only", default="", help="queries whose name starts so")
     options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--own", action="store_true", help="leave out the maps of other places")
+    options.add_argument("--clouds", action="store_true", help="maps from clouds without poses")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    judge = Judge(_kept(args.data, args.maps, config), config, not args.own)
+    mapped = sources(args.data)
+    paths = {name: kitti00.poses_of(source) for name, source in mapped.items()}
+    build = partial(maps, mapped, config, args.clouds)
+    judge = Judge(_kept(build, args.maps), paths, config, not args.own)
     for chosen in queries(args.data, args.step):
         if chosen.name.startswith(args.only):
             judge.run(chosen)
@@ -276,18 +311,19 @@ def main() -> None:
     table = Table(
         COLUMNS, rows(judge.records), note(judge.records, args.method, args.step, not args.own)
     )
-    publish(args.report, "Real recordings in their own and in foreign maps", table)
+    made = "maps from clouds" if args.clouds else "maps"
+    publish(args.report, f"Real recordings in their own and in foreign {made}", table)
 
 
-def _kept(data: Path, folder: Path | None, config: Config) -> dict[str, SegmentMap]:
-    """Return the maps, built once if a folder is given."""
+def _kept(build: Callable[[], dict[str, SegmentMap]], folder: Path | None) -> dict[str, SegmentMap]:
+    """The maps, built once where a folder is given."""
     if folder is None:
-        return maps(data, config)
+        return build()
     paths = {path.stem: path for path in sorted(folder.glob("*.segmap"))}
     if paths:
         return {name: SegmentMap.load(path) for name, path in paths.items()}
     folder.mkdir(parents=True, exist_ok=True)
-    built = maps(data, config)
+    built = build()
     for name, each in built.items():
         each.save(folder / f"{name}.segmap")
     return built

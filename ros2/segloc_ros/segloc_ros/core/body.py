@@ -33,15 +33,17 @@ class Body:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._tf = TransformTree(settings.tf_keep_s)
-        self._upright = Upright() if settings.imu_topic else None
+        leans = settings.imu_topic and settings.odometry != "kiss-icp"
+        self._upright = Upright() if leans else None
         self._mounts: dict[tuple[str, str], tuple[int, Pose | None]] = {}
         self._imu_frame = ""
         self._fed = -np.inf
         self.odom_frame = settings.odom_frame
         self.faults: dict[str, str] = {}
         if settings.odometry != "none":
-            waited = settings.odom_topic if settings.odometry == "topic" else self._chain
-            self.faults["odometry"] = f"no odometry yet: {waited}"
+            sources = {"topic": settings.odom_topic, "tf": self._chain}
+            source = sources.get(settings.odometry, "the first cloud")
+            self.faults["odometry"] = f"no odometry yet: {source}"
         if self._upright:
             self.faults["gravity"] = f"no gravity yet: {settings.imu_topic} at rest"
 
@@ -87,6 +89,11 @@ class Body:
             return []
         self.odom_frame = frame_name(parent) or self._settings.odom_frame
         return self._levelled(stamp, T @ T_body_base)
+
+    def computed(self, stamp: float, T_odom_base: Pose) -> list[Stamped]:
+        """A pose that was computed from clouds, in a level frame."""
+        self.faults.pop("odometry", None)
+        return [(stamp, T_odom_base)]
 
     def standing(self, stamp: float) -> list[Stamped]:
         """The odometry of a robot that has none, for it stands."""

@@ -79,11 +79,16 @@ def _values(robot: Robot) -> dict[str, str]:
             "travelled_m": f"{state.travelled_m:.1f}",
             "stamp": f"{state.stamp:.3f}",
         }
-    values |= {"fixes": str(robot.fixes), "intake_ms": f"{robot.intake_ms:.1f}"}
+    values |= {
+        "fixes": str(robot.fixes),
+        "points": str(robot.points),
+        "intake_ms": f"{robot.intake_ms:.1f}",
+    }
     if (core := robot.core) is not None:
         counts = {"scans": core.scans, "dropped": core.dropped, "refused": core.refused}
         values |= {name: str(count) for name, count in counts.items()}
     if (last := robot.last) is not None:
         values["last query"] = last.message or "believed"
+        values["candidates"] = " ".join(f"{p:.3f}" for _, p in last.candidates)
         values |= {f"{stage}_ms": f"{ms:.1f}" for stage, ms in last.times_ms.items()}
     return values

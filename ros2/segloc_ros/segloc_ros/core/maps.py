@@ -1,4 +1,4 @@
-"""The map on disk: loaded when it comes, and again when it changes."""
+"""The map: a file or tiles, loaded when it comes, again when it changes, or another on request."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Localizer, SeglocError, SegmentMap
+from segloc import Config, Localizer, SeglocError, SegmentMap
 from segloc.config import map_config
-from segloc.tiles import holds_tiles
+from segloc.tiles import INDEX, TiledMap, holds_tiles
 from segloc.types import Float32
 
 
@@ -39,35 +39,77 @@ class MapFile:
         it has changed.
         """
         if not self._path:
-            self.fault = "no map: set the parameter map to a .segmap"
-            return None
-        if holds_tiles(self._path):
-            self.fault = f"{self._path} holds tiles: a robot is followed in one map"
+            self.fault = "no map: set the parameter map to a .segmap, a folder of tiles or its URL"
             return None
         try:
-            found = Path(self._path).stat()
+            signature = _signature(self._path)
         except OSError as error:
             self.fault, self._seen = f"no map: {self._path}: {error.strerror}", None
             return None
-        signature = (found.st_mtime_ns, found.st_size, found.st_ino)
+        except SeglocError as error:
+            self.fault, self._seen = f"no map: {error}", None
+            return None
         if signature == self._seen:
             return None
         self._seen = signature
-        return self._loaded()
-
-    def _loaded(self) -> Localizer | None:
         try:
-            prior_map = SegmentMap.load(self._path)
-            config = map_config(prior_map).model_copy(update={"threads": self._threads})
-            localizer = Localizer(prior_map, config)
+            localizer = opened(self._path, self._threads)
         except (SeglocError, OSError) as error:
             self.fault = f"no map: {error}"
             return None
         self.fault = ""
         return localizer
 
+    def switch(self, path: str) -> Localizer:
+        """Load another map, and watch that from now on; on a fault the one before stays.
+
+        Raises
+        ------
+        SeglocError
+            If it cannot be loaded; names the fault.
+        """
+        try:
+            signature = _signature(path)
+            localizer = opened(path, self._threads)
+        except OSError as error:
+            raise SeglocError(f"{path}: {error.strerror}") from error
+        self._path, self._seen, self.fault = path, signature, ""
+        return localizer
+
+
+def opened(path: str, threads: int) -> Localizer:
+    """A localizer in the map at a path: a file, or a folder or URL of tiles.
+
+    Raises
+    ------
+    SeglocError
+        If it cannot be loaded.
+    """
+    if _is_url(path) or holds_tiles(path):
+        tiles = TiledMap(path)
+        return Localizer(tiles, _config(tiles.coarse(), threads))
+    prior_map = SegmentMap.load(path)
+    return Localizer(prior_map, _config(prior_map, threads))
+
+
+def _config(prior_map: SegmentMap, threads: int) -> Config:
+    return map_config(prior_map).model_copy(update={"threads": threads})
+
+
+def _is_url(path: str) -> bool:
+    return "://" in path
+
+
+def _signature(path: str) -> tuple[int, int, int]:
+    """What changes whenever a map is replaced; a URL is not watched."""
+    if _is_url(path):
+        return (0, 0, 0)
+    file = Path(path) / INDEX if holds_tiles(path) else Path(path)
+    found = file.stat()
+    return (found.st_mtime_ns, found.st_size, found.st_ino)
+
 
 def map_points(prior_map: SegmentMap, most: int) -> Float32:
-    """Points of a map in its frame, evenly thinned, (N, 3) float32."""
-    every = max(1, -(-len(prior_map.cloud) // max(1, most)))
-    return (prior_map.cloud[::every] + prior_map.origin).astype(np.float32)
+    """Points of a map in its frame, evenly thinned, (N, 3) float32; of tiles the centroids."""
+    points = prior_map.cloud + prior_map.origin if len(prior_map.cloud) else prior_map.centroids
+    return points[:: max(1, -(-len(points) // max(1, most)))].astype(np.float32)

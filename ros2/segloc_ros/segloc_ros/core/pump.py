@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TypeVar
 
-from segloc import Localizer
+from segloc import Localizer, SeglocError
+from segloc.types import Pose
 
 from .maps import MapFile
 from .replies import Reply
@@ -42,6 +44,7 @@ class Pump:
         self._robot, self._maps = robot, maps
         self._publish, self._on_map, self._watch_s = publish, on_map, watch_s
         self._changed = threading.Condition()
+        self._loads: deque[tuple[str, Pose | None, Callable[[str], None]]] = deque()
         self._closed = False
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._guarded, name="segloc-queries", daemon=True)
@@ -57,6 +60,16 @@ class Pump:
         """Ask the robot something, or tell it something that it does not answer."""
         with self._changed:
             return question(self._robot)
+
+    def load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
+        """Replace the map while the robot drives.
+
+        With ``T_new_old``, between the maps' frames, search near the last pose first, seen from
+        above. ``done`` is called, in any thread, with the fault; "" if there is none.
+        """
+        with self._changed:
+            self._loads.append((path, T_new_old, done))
+            self._changed.notify_all()
 
     def close(self) -> None:
         """End the thread, once what it is at is done."""
@@ -77,6 +90,8 @@ class Pump:
             if time.monotonic() - looked >= self._watch_s:
                 looked = time.monotonic()
                 self._look_after_map()
+            while self._loads:
+                self._load(*self._loads.popleft())
             with self._changed:
                 job = None if self._closed else self._robot.due()
                 if job is None:
@@ -85,6 +100,16 @@ class Pump:
             answer = self._robot.ask(job)
             with self._changed:
                 self._publish(self._robot.answer(answer))
+
+    def _load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
+        try:
+            localizer = self._maps.switch(path)
+        except SeglocError as error:
+            done(str(error))
+            return
+        self._on_map(localizer)
+        self.read(lambda robot: robot.switch(localizer, T_new_old))
+        done("")
 
     def _look_after_map(self) -> None:
         localizer = self._maps.newer()

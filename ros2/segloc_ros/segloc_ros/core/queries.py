@@ -13,7 +13,7 @@ from segloc.live.core import PendingQuery
 from segloc.pipeline import Search
 from segloc.proposals.proposer import Query
 from segloc.tracking.belief import View
-from segloc.types import Float64
+from segloc.types import Float64, Pose
 
 from .replies import MatchesReply
 
@@ -46,6 +46,8 @@ class Answer:
         Of the sensor at the best candidate, in the map.
     centroids : (K, 3) float64
         Of the map's segments that agree with it.
+    candidates : tuple of (T_map_base, probability)
+        Places that were found, the most probable first.
     message : str
         Why nothing is believed; "" where something is.
     """
@@ -56,6 +58,7 @@ class Answer:
     times_ms: Mapping[str, float] = field(default_factory=dict)
     position: Float64 | None = None
     centroids: Float64 = field(default_factory=lambda: np.empty((0, 3)))
+    candidates: tuple[tuple[Pose, float], ...] = ()
     message: str = ""
 
     def matches(self, frame: str) -> MatchesReply | None:
@@ -83,13 +86,21 @@ def make(job: Job) -> Answer:
         centroids = _agreeing(job, query, search)
     place = f" ({job.near})" if job.near else ""
     message = f"{search.message}{place}" if search.reason is not None else ""
-    return Answer(job, view, search, times, position, centroids, message)
+    T_sensor_base = geometry.inverse(job.core.T_base_sensor)
+    T_local_base = query.cloud.T_local_sensor @ T_sensor_base
+    posterior = search.posterior
+    candidates = tuple(
+        (place.T_map_local @ T_local_base, p)
+        for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+    )
+    return Answer(job, view, search, times, position, centroids, candidates, message)
 
 
 def _agreeing(job: Job, query: Query, search: Search) -> Float64:
     """Centroids of the map's segments that matches put where they are, (K, 3)."""
     best, matches = search.posterior.best, search.matches
-    if best is None or not len(matches):
+    is_tiled = job.core.tracker.localizer.tiles is not None
+    if best is None or not len(matches) or is_tiled:  # matches are rows of some tiles
         return np.empty((0, 3))
     ours = geometry.transform(best.T_map_local, query.scene.segments.centroids[matches.query])
     theirs = np.asarray(job.core.tracker.localizer.prior_map.centroids[matches.map], np.float64)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from segloc import ros_covariance
+from segloc import geometry, ros_covariance
 from segloc.types import Float64, Pose
 
 from .frames import Transform
@@ -63,9 +64,36 @@ class InitialPose:
 
 @dataclass(frozen=True)
 class MapToOdom:
-    """What is broadcast on tf; its stamp is post-dated."""
+    """map -> odom on tf; its stamp is post-dated."""
 
     transform: Transform
+
+
+@dataclass(frozen=True)
+class OdometryReply:
+    """nav_msgs/Odometry, and odom -> base_link on tf.
+
+    Attributes
+    ----------
+    transform : Transform
+        odom -> base_link.
+    linear, angular : (3,) float64
+        Velocities in the base's frame [m/s] and [rad/s].
+    """
+
+    transform: Transform
+    linear: Float64
+    angular: Float64
+
+    @classmethod
+    def of(cls, transform: Transform, before: tuple[float, Pose] | None) -> OdometryReply:
+        """With the mean velocity since a pose before, which has a stamp."""
+        seconds = 0.0 if before is None else transform.stamp - before[0]
+        if before is None or seconds <= 0.0:
+            return cls(transform, np.zeros(3), np.zeros(3))
+        step = geometry.inverse(before[1]) @ transform.T_parent_child
+        turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
+        return cls(transform, step[:3, 3] / seconds, turn / seconds)
 
 
 @dataclass(frozen=True)
@@ -90,4 +118,21 @@ class MatchesReply:
     believed: bool
 
 
-Reply = PoseReply | InitialPose | MapToOdom | MatchesReply
+@dataclass(frozen=True)
+class CandidatesReply:
+    """geometry_msgs/PoseArray: the places that a query found.
+
+    Attributes
+    ----------
+    stamp : float
+    frame : str
+    places : tuple of (T_map_base, probability)
+        The most probable first.
+    """
+
+    stamp: float
+    frame: str
+    places: tuple[tuple[Pose, float], ...]
+
+
+Reply = PoseReply | InitialPose | MapToOdom | OdometryReply | CandidatesReply | MatchesReply

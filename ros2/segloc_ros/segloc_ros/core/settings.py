@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from segloc.config import validated
 from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
-from segloc.live import LiveConfig
+from segloc.live import LiveConfig, PoseKeeper, ScanMerger, SmoothTransform
 from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
@@ -23,7 +23,10 @@ from .frames import frame_name
 class Settings(Section):
     """All parameters of the node. Seconds are those of stamps."""
 
-    map: str = Field("", description="path of the .segmap; it is loaded again when it changes")
+    map: str = Field(
+        "",
+        description=".segmap, or folder or URL of tiles; read again when it changes or is set",
+    )
     mode: Literal["initialpose", "tf", "both"] = Field(
         "initialpose", description="what is told: a pose for a tracker such as AMCL, map -> odom"
     )
@@ -35,21 +38,32 @@ class Settings(Section):
     )
 
     points_topic: str = Field("points", description="sensor_msgs/PointCloud2")
+    more_points_topics: tuple[str, ...] = Field(
+        (), description="clouds of further LiDARs of the base, merged into those of points_topic"
+    )
+    points_tolerance_s: float = Field(
+        0.06, gt=0, le=1, description="largest difference of stamps of clouds that are merged"
+    )
     points_reliable: bool = Field(False, description="QoS; best effort takes any publisher")
     points_depth: int = Field(2, ge=1, le=100, description="QoS: clouds that wait")
-    odometry: Literal["topic", "tf", "none"] = Field(
-        "topic", description="where it comes from; none: the robot stands while it is looked for"
+    odometry: Literal["topic", "tf", "kiss-icp", "none"] = Field(
+        "topic",
+        description="source; kiss-icp: computed from the clouds; none: the robot must stand still",
     )
-    odom_topic: str = Field("odom", description="nav_msgs/Odometry")
+    odom_topic: str = Field("odom", description="nav_msgs/Odometry, in; with kiss-icp, out")
+    odom_tf: bool = Field(True, description="with kiss-icp, also broadcast odom -> base_link")
     imu_topic: str = Field(
         "", description="sensor_msgs/Imu: levels an odometry whose z axis is not up; '': none"
     )
-    click_topic: str = Field(
-        "~/click", description="a rough pose to refine; '': none. /initialpose, too, if need be"
+    fix_topic: str = Field(
+        "", description="sensor_msgs/NavSatFix: where to search first in a georeferenced map"
     )
-    initialpose_topic: str = Field("/initialpose", description="where poses for a tracker go")
+    click_topic: str = Field(
+        "~/click", description="a rough pose to refine; '': none. initialpose, too, if need be"
+    )
+    initialpose_topic: str = Field("initialpose", description="where poses for a tracker go")
     set_initial_pose_service: str = Field(
-        "", description="AMCL's service, such as /set_initial_pose, called as well; '': none"
+        "", description="AMCL's service, such as set_initial_pose, called as well; '': none"
     )
 
     map_frame: str = "map"
@@ -67,9 +81,22 @@ class Settings(Section):
     initialpose_least_deg: float = Field(5.0, ge=0, description="and for angles")
     click_radius_m: float = Field(10.0, gt=0, description="it is looked for so near a click")
     click_s: float = Field(5.0, gt=0, description="and for so long, then anywhere")
+    pose_file: str = Field(
+        "", description="file that keeps the pose over a power cycle, checked after boot; '': none"
+    )
+    pose_file_every_s: float = Field(5.0, gt=0, description="time between its writes")
+    pose_file_max_age_s: float = Field(
+        604_800.0, gt=0, description="an older pose is not used: the robot is found anew"
+    )
 
     tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="of map -> odom at most")
     tf_ahead_s: float = Field(0.2, ge=0, le=10, description="map -> odom is post-dated by this")
+    smooth_tf: bool = Field(
+        False, description="correct map -> odom at a bounded rate, without jumps; ~/pose as well"
+    )
+    smooth_tf_mps: float = Field(0.2, gt=0, description="that rate at the base, metres a second")
+    smooth_tf_dps: float = Field(2.0, gt=0, description="and degrees a second")
+    smooth_tf_jump_m: float = Field(3.0, gt=0, description="a larger correction is made at once")
     tf_keep_s: float = Field(10.0, gt=0, description="tf is kept for so long")
 
     query_every_m: float = Field(10.0, ge=0, description="travel between queries")
@@ -143,6 +170,33 @@ class Settings(Section):
         x, y, z, *angles = self.base_to_lidar
         roll, pitch, yaw = (math.degrees(angle) for angle in angles)
         return rigid(rotation(roll, pitch, yaw), np.array([x, y, z]))
+
+    @property
+    def merger(self) -> ScanMerger | None:
+        """What merges the clouds of several LiDARs."""
+        if not self.more_points_topics:
+            return None
+        return ScanMerger(self.points_topic, self.more_points_topics, self.points_tolerance_s)
+
+    @property
+    def smooth(self) -> SmoothTransform | None:
+        """What corrects map -> odom without jumps."""
+        if not self.smooth_tf:
+            return None
+        return SmoothTransform(self.smooth_tf_mps, self.smooth_tf_dps, self.smooth_tf_jump_m)
+
+    @property
+    def keeper(self) -> PoseKeeper | None:
+        """What keeps the pose over a power cycle."""
+        if not self.pose_file:
+            return None
+        return PoseKeeper(
+            self.pose_file,
+            every_s=self.pose_file_every_s,
+            max_age_s=self.pose_file_max_age_s,
+            radius_m=self.click_radius_m,
+            check_s=self.click_s,
+        )
 
     @property
     def live(self) -> LiveConfig:

@@ -1,0 +1,161 @@
+"""The front half of a query, gravity to description, against another installed version in turns.
+
+    python -m segloc_lab.bench.frontend [--data FOLDER] [--against PYTHON] [--repeats 20]
+
+Both versions run in processes of their own, one scan after the other in turns, on one thread, and
+report the processor time of each stage. ``--against`` is the interpreter of an environment that
+has the other version of segloc. Scans of ``--data`` are real where it has them, else simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from segloc.types import Float32
+
+OURS = "this"
+_WORKER = Path(__file__).with_name("frontend_worker.py")
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_BANDWIDTH_BYTES = 1 << 26
+_SCANS = 4
+
+
+class Worker:
+    """One version of segloc, in a process of its own."""
+
+    def __init__(self, python: str, process: subprocess.Popen[str]) -> None:
+        self.python, self._process = python, process
+
+    def measure(self, path: Path) -> dict[str, float]:
+        """Milliseconds of each stage for the scan in a file."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        print(path, file=self._process.stdin, flush=True)
+        line = self._process.stdout.readline()
+        if not line:
+            raise ChildProcessError(f"{self.python} {_WORKER.name} ended: is segloc installed?")
+        pairs = (pair.rsplit("=", 1) for pair in line.strip().split(";"))
+        return {stage: float(ms) for stage, ms in pairs}
+
+
+@contextmanager
+def worker(python: str) -> Iterator[Worker]:
+    """Start a worker; its imports are those of its interpreter alone."""
+    environment, pipe = {**os.environ, **_ONE_THREAD}, subprocess.PIPE
+    command = [python, "-I", str(_WORKER)]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
+        yield Worker(python, process)
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+def in_turns(
+    pythons: dict[str, str], scans: Sequence[Float32], repeats: int
+) -> dict[str, dict[str, float]]:
+    """Median milliseconds of each stage by version, the versions in turns scan by scan."""
+    times: dict[str, dict[str, list[float]]] = {name: {} for name in pythons}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        workers = {name: stack.enter_context(worker(each)) for name, each in pythons.items()}
+        paths = [folder / f"{i}.npy" for i in range(len(scans))]
+        for path, points in zip(paths, scans, strict=True):
+            np.save(path, points)
+            for each in workers.values():
+                each.measure(path)
+        for _ in range(repeats):
+            for path in paths:
+                for name, each in workers.items():
+                    for stage, ms in each.measure(path).items():
+                        times[name].setdefault(stage, []).append(ms)
+    return {
+        name: {stage: statistics.median(ms) for stage, ms in stages.items()}
+        for name, stages in times.items()
+    }
+
+
+def copy_gb_s() -> float:
+    """The rate at which this machine copies memory, bytes read and written, GB/s."""
+    source = np.zeros(_BANDWIDTH_BYTES, np.uint8)
+    target = np.empty_like(source)
+    from .harness import interleaved
+
+    ms = interleaved({"copy": lambda: np.copyto(target, source)}, 1, 7)["copy"]
+    return 2.0 * _BANDWIDTH_BYTES / ms / 1e6
+
+
+def _simulated(name: str, firings: int | None) -> Callable[[], list[Float32]]:
+    def scans() -> list[Float32]:
+        from ..simulation import SENSORS, Route, simulate_session, town
+
+        lidar = SENSORS[name]() if firings is None else SENSORS[name](firings)
+        world = town(0, size_m=200.0)
+        junctions = tuple(world.roads.walk(np.random.default_rng(0), [0], 100.0, avoid=[]))
+        drive = simulate_session(world, 0, Route(junctions, length_m=100.0), lidar, 0)
+        chosen = np.linspace(0, len(drive) - 1, _SCANS).astype(int)
+        return [drive.scan(int(i)).points for i in chosen]
+
+    return scans
+
+
+SIMULATED = {
+    "HDL-64E": _simulated("hdl64e", 1875),
+    "OS1-128": _simulated("os1-128", 1024),
+    "VLP-16": _simulated("vlp16", 1800),
+    "MID-360": _simulated("mid360", None),
+}
+REAL = {
+    "HDL-64E": "kitti00/scans",
+    "VLP-16": "vlp16_corridor/scans",
+    "MID-360": "mid360_lab/0618/scans",
+}
+"""Where ``../shared/data`` has scans of a sensor; those of the MID-360 are crops of a map."""
+
+
+def sensors(data: Path | None) -> dict[str, list[Float32]]:
+    """A few scans of each sensor."""
+    found: dict[str, list[Float32]] = {}
+    for name, simulated in SIMULATED.items():
+        files = sorted((data / REAL[name]).glob("*.laz")) if data and name in REAL else []
+        if not files:
+            found[f"{name}, simulated"] = simulated()
+            continue
+        from segloc.io import read_scan
+
+        chosen = np.linspace(0, len(files) - 1, _SCANS).astype(int)
+        found[f"{name}, {REAL[name]}"] = [read_scan(files[i]).points for i in chosen]
+    return found
+
+
+def main() -> None:
+    parsed = argparse.ArgumentParser(description=__doc__)
+    parsed.add_argument("--data", type=Path)
+    parsed.add_argument("--against", metavar="PYTHON", help="interpreter of the other version")
+    parsed.add_argument("--repeats", type=int, default=20)
+    options = parsed.parse_args()
+    pythons = {OURS: sys.executable}
+    if options.against:
+        pythons["other"] = options.against
+    rate = copy_gb_s()
+    print(f"copies {rate:.1f} GB/s")
+    for name, scans in sensors(options.data).items():
+        points = statistics.median(len(each) for each in scans)
+        bound_ms = 12.0 * points / rate / 1e6
+        print(f"\n{name}: {points:.0f} points, one pass over them {bound_ms:.3f} ms")
+        found = in_turns(pythons, scans, options.repeats)
+        for stage, ms in found[OURS].items():
+            other = found.get("other", {}).get(stage)
+            beside = "" if other is None else f"{other:9.2f} {ms / other:7.2f}"
+            print(f"  {stage:<24}{ms:9.2f}{beside}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Odometry of a base from the scans of its LiDAR alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import geometry
+from ..datasets.odometry import ScanOdometry
+from ..errors import InvalidScan
+from ..frontend.gravity import AttitudeConfig, AttitudeEstimator
+from ..motion import times_fit
+from ..system.checks import checked_pose
+from ..types import Pose, Scan
+
+_MAX_GAP_S = 2.0
+"""After a longer gap between scans the motion is unknown."""
+
+
+class LidarOdometry:
+    """KISS-ICP for a base, in a level frame; it restarts where it was lost.
+
+    The frame has its origin and heading at the first pose of the base. Its z axis points up as
+    the floors and walls of the first scan show, or else as the base stands.
+
+    Parameters
+    ----------
+    T_base_sensor : (4, 4) array, optional
+        How the sensor is mounted; by default the sensor is the base.
+    attitude : AttitudeConfig, optional
+    max_range_m : float
+        Points farther away are not used.
+
+    Attributes
+    ----------
+    losses : int
+        How often odometry was lost.
+    fault : str
+        Why it was lost the last time.
+
+    Raises
+    ------
+    MissingDependency
+        If kiss-icp is not installed.
+    """
+
+    def __init__(
+        self,
+        T_base_sensor: ArrayLike | None = None,
+        attitude: AttitudeConfig | None = None,
+        max_range_m: float = 100.0,
+    ) -> None:
+        given = np.eye(4) if T_base_sensor is None else T_base_sensor
+        self.T_base_sensor = checked_pose(given, "T_base_sensor")
+        self._attitudes = AttitudeEstimator(attitude)
+        self._max_range_m = max_range_m
+        self._odometry = ScanOdometry(max_range_m)
+        self._T_odom_first: Pose | None = None  # pose of the sensor at the first registered scan
+        self._T_odom_sensor: Pose | None = None
+        self._stamp = -math.inf
+        self.losses, self.fault = 0, ""
+
+    def add(self, scan: Scan, stamp: float) -> list[tuple[float, Pose]]:
+        """Register a scan; return stamps [s] and poses T_odom_base (4, 4) that are now known.
+
+        Where odometry is lost it restarts with the scan, at the last pose: ``losses`` grows.
+        """
+        gap_s = stamp - self._stamp
+        if self._T_odom_sensor is not None and not 0.0 < gap_s <= _MAX_GAP_S:
+            self._restart(f"no scans for {gap_s:.1f} s" if gap_s > 0 else "the clock was set back")
+        try:
+            T, after_s = self._odometry.add(scan)
+        except InvalidScan as error:
+            self._restart(str(error))
+            try:
+                T, after_s = self._odometry.add(scan)
+            except InvalidScan:  # of no use for a beginning either
+                self._odometry = ScanOdometry(self._max_range_m)
+                return []
+        self._stamp = stamp
+        begin: list[tuple[float, Pose]] = []
+        if self._T_odom_first is None:
+            self._T_odom_first = self._first_pose(scan) @ geometry.inverse(T)
+            if scan.times is not None and times_fit(scan) and scan.times.min() < after_s:
+                begin = [(stamp + min(0.0, float(scan.times.min())), self._T_odom_first @ T)]
+        self._T_odom_sensor = self._T_odom_first @ T
+        poses = [*begin, (stamp + after_s, self._T_odom_sensor)]
+        T_sensor_base = geometry.inverse(self.T_base_sensor)
+        return [(time, geometry.orthonormal(T_odom @ T_sensor_base)) for time, T_odom in poses]
+
+    def _restart(self, why: str) -> None:
+        self._odometry, self._T_odom_first = ScanOdometry(self._max_range_m), None
+        if self._T_odom_sensor is not None:
+            self.losses, self.fault = self.losses + 1, why
+
+    def _first_pose(self, scan: Scan) -> Pose:
+        """T_odom_sensor of the first scan after a start."""
+        if self._T_odom_sensor is not None:
+            return self._T_odom_sensor
+        level = self.T_base_sensor[2, :3]
+        found = self._attitudes.estimate(scan.points, level)
+        T_level_sensor = geometry.upright(level if found is None else found.up)
+        T_level_base = T_level_sensor @ geometry.inverse(self.T_base_sensor)
+        return geometry.inverse(geometry.levelled(T_level_base)) @ T_level_sensor
