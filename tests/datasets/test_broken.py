@@ -195,7 +195,7 @@ def test_tracks_leave_out_what_is_wrong_and_say_so() -> None:
         "odometry: 3 of 6 poses dropped: not finite, no unit quaternion, or stamp not rising"
     )
     assert track.gaps.tolist() == [2.0]
-    with pytest.raises(DatasetError, match="odometry: no poses"):
+    with pytest.raises(DatasetError, match="none of its 1 poses is usable"):
         clean_track("odometry", stamps[3:4], poses[3:4])
 
 

@@ -106,8 +106,8 @@ def test_a_sensor_that_changes_is_named_with_the_first_scan(
     found = problems(write(tmp_path, clouds, DRIVE.poses), sample=4)
     where = place.format(change)
     assert (
-        f"{where}: another sensor from here on: 3D, 16 beams, -15.0 to 15.0 deg, "
-        "before it 3D, 32 beams, -30.7 to 10.7 deg"
+        f"{where}: another sensor from here on: 3D, 16 beams, -15.0 to 15.0 deg; "
+        "before: 3D, 32 beams, -30.7 to 10.7 deg"
     ) in found
 
 

@@ -154,7 +154,7 @@ def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
     over = tmp_path / "over"
     over.mkdir()
     recording(over / "more", ["0.npy"])
-    with pytest.raises(DatasetError, match="among its 0 files; there are some in more"):
+    with pytest.raises(DatasetError, match="among its 0 files; scans found in subfolders: more"):
         open_sequence(over)
     twice = recording(tmp_path / "twice", ["a_01.npy", "b_1.npy"])
     with pytest.raises(DatasetError, match=r"a_01\.npy and b_1\.npy are both scan 1"):

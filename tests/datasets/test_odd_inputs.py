@@ -29,9 +29,9 @@ EXPECTED: dict[str, tuple[int, str]] = {
     "21_pc2_layouts/rowstep_total": (READ, ""),
     "22_same_stamps/two_lidars_two_frames": (REFUSED, "two sensors on one topic"),
     "24_bad_odometry/good_and_gps": (READ, r"note: /gps/odom: none of its \d+ poses is usable"),
-    "24_bad_odometry/q0": (READ, "note: /odom: 2 of 11 poses left out"),
-    "24_bad_odometry/tf_q0": (READ, "note: /tf: transforms of 'base_link' left out: 1"),
-    "25_bag_hang/empty.mcap": (REFUSED, "is empty"),
+    "24_bad_odometry/q0": (READ, "note: /odom: 2 of 11 poses dropped"),
+    "24_bad_odometry/tf_q0": (READ, "note: /tf: 1 transforms of 'base_link' dropped"),
+    "25_bag_hang/empty.mcap": (REFUSED, "empty file"),
     "25_bag_hang/no_clouds": (REFUSED, "no topic of scans, only /odom"),
     "25_bag_hang/text.bag": (REFUSED, "no bag file, by its first bytes"),
     "25_bag_hang/two_topics": (REFUSED, r"--topic: /a/points \(2\), /b/points \(2\)"),
@@ -146,7 +146,7 @@ def test_bags_that_cannot_be_used_end_every_verb_in_one_line(tmp_path: Path) -> 
     whole = (healthy / "healthy.mcap").read_bytes()
     files = {
         "cut.mcap": (whole[: len(whole) // 2], "mcap recover"),
-        "empty.db3": (b"", "is empty"),
+        "empty.db3": (b"", "empty file"),
         "foreign.mcap": (b"PK\3\4" + whole, "no mcap file"),
     }
     for name, (data, _) in files.items():

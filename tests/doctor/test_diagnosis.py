@@ -179,7 +179,7 @@ def test_points_for_missing_returns_are_counted_and_are_no_problem(tmp_path: Pat
     assert found.healthy
     said = {finding.fault: str(finding) for finding in found.findings}
     assert said[Fault.MISSING_RETURNS].startswith("20% of the points stand for missing returns")
-    assert "not finite or beyond 1e+08 m: they are left out" in said[Fault.UNUSABLE_POINTS]
+    assert "not finite or beyond 1e+08 m: they are dropped" in said[Fault.UNUSABLE_POINTS]
 
 
 def raw_folder(folder: Path, written: Points) -> Path:

@@ -251,7 +251,7 @@ def test_what_makes_no_sense_is_one_clear_line(
         (site, "loops", "needs results of `segloc align`, and this is a map"),
         (found, "pcd", "needs a map, and this is results of `segloc localize` or `segloc live`"),
         (aligned[0], "autoware", "needs a map, and this is results of `segloc align`"),
-        (site, "dxf", "there is pcd, ply, laz"),
+        (site, "dxf", "supported: pcd, ply, laz"),
         (tmp_path / "empty", "tum", "neither a map nor results"),
         (tmp_path / "nowhere", "tum", "no such file"),
     ):

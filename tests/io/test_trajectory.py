@@ -165,7 +165,7 @@ def test_a_trajectory_is_checked_and_keeps_its_own_data() -> None:
     assert trajectory.poses[2, 2, 2] == 1
     with pytest.raises(ValueError, match="read-only"):
         trajectory.poses[0] = 0
-    with pytest.raises(DatasetError, match="do not fit"):
+    with pytest.raises(DatasetError, match="do not match"):
         Trajectory(stamps, trajectory.poses[:2])
     with pytest.raises(DatasetError, match="pose 1: stamps that do not rise"):
         Trajectory(np.zeros(3), trajectory.poses)

@@ -158,10 +158,10 @@ def test_metadata_and_captures_that_are_wrong(tmp_path: Path) -> None:
         ({"beam_azimuth_angles": [1.0]}, "8 altitudes and 1 azimuths"),
         ({"beam_altitude_angles": "up"}, "could not convert"),
         ({"data_format": {"udp_profile_lidar": "RNG99"}}, "profile 'RNG99'"),
-        ({"data_format": {"columns_per_frame": 0}}, "'columns_per_frame' cannot be 0"),
+        ({"data_format": {"columns_per_frame": 0}}, "'columns_per_frame' is 0"),
         ({"lidar_to_sensor_transform": [1, 2]}, "not Ouster metadata"),
         ({"data_format": {"pixels_per_column": 64}}, "8 beams, but 64 pixels"),
-        ({"udp_port_lidar": 9}, "0 of 71 datagrams have 1792 bytes to port 9, as drive.json says"),
+        ({"udp_port_lidar": 9}, "0 of 71 datagrams have 1792 bytes to port 9, as set in drive.json"),
     ):
         file.write_text(json.dumps(whole | changes))
         with pytest.raises(DatasetError, match=fault) as caught:
@@ -169,7 +169,7 @@ def test_metadata_and_captures_that_are_wrong(tmp_path: Path) -> None:
         assert "drive.json" in str(caught.value)
         assert "\n" not in str(caught.value)
     file.unlink()
-    with pytest.raises(DatasetError, match=r"not Ouster metadata beside it \(drive\.json\)"):
+    with pytest.raises(DatasetError, match=r"no Ouster metadata beside it \(drive\.json\)"):
         open_sequence(path)
 
 
