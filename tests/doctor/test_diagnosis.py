@@ -40,7 +40,7 @@ POINTS: dict[str, tuple[Points, Fault, str]] = {
         "camera's .x right, y down, z forward.: write z, -x, -y",
     ),
     "z down": (lambda p: p * [1, -1, -1], Fault.Z_DOWN, "z axis points down: change the signs"),
-    "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: name how"),
+    "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: set how"),
     "ground": (lambda p: p[p[:, 2] < -1.7], Fault.ONLY_GROUND, "nothing but ground in view"),
 }
 """Of each wrong way to write points: from right ones, what it is found as, and what is said."""

@@ -172,7 +172,7 @@ def test_what_is_no_place_of_tiles_is_refused(tmp_path: Path, whole: SegmentMap)
         with pytest.raises(MapFormatError, match=INDEX):
             TiledMap(folder)
     for size, margin in ((1.0, 0.0), (np.nan, 0.0), (100.0, 2000.0), (100.0, -1.0)):
-        with pytest.raises(ConfigError, match="tiles are"):
+        with pytest.raises(ConfigError, match="tiles must be"):
             cut_tiles(whole, tmp_path / "x", size_m=size, margin_m=margin)
     with pytest.raises(SeglocError, match="no tiles"):
         cut_tiles(SegmentMap.empty("geo", "f", 7), tmp_path / "x")

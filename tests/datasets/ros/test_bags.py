@@ -135,7 +135,7 @@ def test_topics(kind: str, tmp_path: Path) -> None:
     other = BagWriter(kind)
     other.odometry("/odom", START, np.eye(4), "base")
     path = other.write(tmp_path / "other")
-    with pytest.raises(DatasetError, match=r"no topic of scans, only /odom \(nav_msgs/msg/O"):
+    with pytest.raises(DatasetError, match=r"no topic of scans; topics: /odom \(nav_msgs/msg/O"):
         opened(path)
 
 
