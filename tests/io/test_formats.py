@@ -228,7 +228,7 @@ def test_a_bin_of_something_else_is_refused(unit: float, tmp_path: Path) -> None
     with pytest.raises(DatasetError, match=r"not a KITTI scan; .* HeLiPR's Avia: open the"):
         read_scan(path)
     path.write_bytes(bytes(29 * 7))
-    with pytest.raises(DatasetError, match=r"of float32; 203 bytes are .* HeLiPR's Aeva: open the"):
+    with pytest.raises(DatasetError, match=r"of float32; 203 bytes fit .* HeLiPR's Aeva: open the"):
         read_scan(path)
 
 
