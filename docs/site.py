@@ -19,9 +19,12 @@ import typer
 import segloc
 from segloc.cli import app
 from segloc.config import Config
+from segloc.live.core import StateReason
+from segloc.localization import Reason
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
+MESSAGES = ROOT / "docs" / "reference" / "messages.md"
 SOURCE = ROOT / "build" / "site" / "source"
 """Copy of the package with the roles of its docstrings resolved, for the page of the API."""
 MOVED = {
@@ -119,6 +122,24 @@ def api() -> str:
     return "# Python\n\nThe public names of `import segloc`.\n" + "".join(sections)
 
 
+def messages(page: str) -> str:
+    """Return the page of messages with the tables of reasons, which are members of enums."""
+    for name, reasons in (("reasons", Reason), ("states", StateReason)):
+        head = "| reason | likely cause | remedy |\n|---|---|---|\n"
+        rows = "".join(
+            f"| {_reason(one)} | {one.likely_cause} | {one.remedy} |\n" for one in reasons
+        )
+        mark = f"<!-- table of {name} -->\n"
+        if mark not in page:
+            raise SystemExit(f"docs/reference/messages.md: no line {mark.strip()!r}")
+        page = page.replace(mark, head + rows)
+    return page
+
+
+def _reason(member: Reason | StateReason) -> str:
+    return re.sub(r"\{.*?\}", "...", member.value)
+
+
 def resolved(text: str) -> str:
     """Return a docstring with Sphinx roles turned into links to the API, or into code."""
     public = {name for name in segloc.__all__ if not name.startswith("_")}
@@ -151,7 +172,9 @@ def main() -> None:
     for source, goal in places.items():
         goal.parent.mkdir(parents=True, exist_ok=True)
         if source.suffix == ".md":
-            goal.write_text(relinked(source.read_text("utf-8"), source, places), "utf-8")
+            text = source.read_text("utf-8")
+            text = messages(text) if source == MESSAGES else text
+            goal.write_text(relinked(text, source, places), "utf-8")
         else:
             shutil.copy(source, goal)
     root: Any = typer.main.get_command(app)

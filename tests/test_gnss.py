@@ -81,7 +81,7 @@ def test_there_and_back_to_the_tenth_of_a_millimetre() -> None:
     xyz = rng.uniform(-5e4, 5e4, (200, 3))
     back = HERE.in_map(HERE.on_globe(xyz))
     assert np.abs(back - xyz).max() < 1e-4
-    for code, fault in ((4326, "no projected frame"), (999_999, "no such frame")):
+    for code, fault in ((4326, "not a projected frame"), (999_999, "unknown to pyproj")):
         with pytest.raises(ConfigError, match=fault):
             Georeference(code).in_map(np.zeros((1, 3)))
 

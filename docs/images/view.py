@@ -19,7 +19,7 @@ from segloc.cli.localize import sentence
 from segloc.cli.sample import TUESDAY_STEP
 from segloc.frontend.local_cloud import Accumulator
 from segloc.inspect import trace, viewer
-from segloc.inspect.results import Shown, seen
+from segloc.inspect.results import Shown, stages_of
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18
@@ -48,7 +48,7 @@ def answered() -> tuple[SegmentMap, list[Shown]]:
         result = found.result
         T = result.T_map_sensor if result.localized else None
         outcome = "found" if result.localized else "refused"
-        shown.append(Shown(i, outcome, sentence(result), T, seen(found)))
+        shown.append(Shown(i, outcome, sentence(result), T, stages_of(found)))
     return localizer.prior_map, shown
 
 

@@ -167,13 +167,13 @@ def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Itera
             yield f"{indent}{name}: {text.strip()}{_comment(name, info.description)}"
 
 
-def _comment(name: str, said: str | None) -> str:
+def _comment(name: str, text: str | None) -> str:
     """What a key means, and its unit where the key's name alone tells it."""
-    if not said:
+    if not text:
         return ""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
-    told = any(re.search(rf"\b{word}s?\b", said) for word in ("metre", "degree"))
-    return f"  # {said}" if told or not unit else f"  # {said}, {unit}"
+    has_unit = any(re.search(rf"\b{word}s?\b", text) for word in ("metre", "degree"))
+    return f"  # {text}" if has_unit or not unit else f"  # {text}, {unit}"
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:

@@ -46,7 +46,7 @@ class ConfigError(SeglocError, ValueError):
 
 
 class MissingDependency(SeglocError, ImportError):
-    """An optional package is needed; the message says how to install it."""
+    """An optional package is missing; the message has the command to install it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         what = "segloc-lab" if extra == "lab" else f"'segloc[{extra}]'"

@@ -100,10 +100,10 @@ def arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def stations(way: NDArray[np.float64], every_m: float, first_m: float = 0.0) -> NDArray[np.int64]:
-    """Which points of a path to stop at for one stop every so many metres, in order.
+    """Return the points of a trajectory to stop at every ``every_m`` of travel, in order.
 
-    The first point at or behind each mark, so nothing is allocated for marks: a path may be long
-    and the distance between marks short.
+    Each is the first point at or after a mark, so nothing is allocated for marks: a trajectory may
+    be long and the distance between marks short.
 
     Parameters
     ----------
@@ -181,8 +181,8 @@ class Separation(Section):
     )
 
     def apart(self, T_a: Pose, T_b: Pose) -> bool:
-        """Whether two (4, 4) poses in one frame are at different places."""
-        # T_a in frame b, without an array: many thousands of pairs are asked for in large maps.
+        """Return whether two (4, 4) poses in one frame are at different places."""
+        # T_a in frame b, without an array: large maps compare many thousands of pairs.
         (xx, yx, zx, _), _, _, (x, y, z, _) = T_a.T.tolist()
         ax, ay, az, (bx, by, bz, _) = T_b.T.tolist()
         forward = ax[0] * xx + ax[1] * yx + ax[2] * zx

@@ -1,4 +1,4 @@
-"""The answer to one query: a pose in the map, or the reason why there is none."""
+"""Result of one query: a pose in the map, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -17,24 +17,77 @@ if TYPE_CHECKING:
 
 
 class Reason(str, Enum):
-    """Why a query is not localized."""
+    """Why a query is not localized, with the likely cause and its remedy.
 
-    NO_POINTS = "no points"
-    UNKNOWN_ATTITUDE = "unknown attitude"
-    NO_SEGMENTS = "no segments"
-    NO_MATCHES = "no matches"
-    NO_CONSISTENT_MATCHES = "no consistent matches"
-    AMBIGUOUS = "ambiguous"
-    NOT_IN_MAP = "not in the map"
-    TOO_UNCERTAIN = "too uncertain"
-    NOT_NEAR_PRIOR = "not near the prior"
+    Attributes
+    ----------
+    likely_cause, remedy : str
+    """
+
+    _value_: str
+    likely_cause: str
+    remedy: str
+
+    def __new__(cls, value: str, likely_cause: str, remedy: str) -> Reason:
+        member = str.__new__(cls, value)
+        member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
+        return member
+
+    NO_POINTS = (
+        "no points",
+        "no point in range: coordinates are in millimetres, or not in the sensor's frame",
+        "pass metres in the sensor's frame",
+    )
+    UNKNOWN_ATTITUDE = (
+        "unknown attitude",
+        "roll and pitch are unknown: a single scan with hardly any flat surface",
+        "pass gravity (`Scan(points, gravity=...)`, an IMU in the bag), or accumulate scans",
+    )
+    NO_SEGMENTS = (
+        "no segments",
+        "nothing above the ground in view, a sparse cloud, or units or axes other than metres with "
+        "z up",
+        "accumulate scans; for sparse clouds raise `segmentation.tolerance` and lower "
+        "`segmentation.min_points`",
+    )
+    NO_MATCHES = (
+        "no matches",
+        "the map has no segments",
+        "build the map again; `segloc map info` shows its content",
+    )
+    NO_CONSISTENT_MATCHES = (
+        "no consistent matches",
+        "no segments are arranged as in the map: the place is not in the map, or the scan sees too "
+        "little",
+        "accumulate scans (`--odometry --every 5`)",
+    )
+    AMBIGUOUS = (
+        "ambiguous",
+        "two places look alike, such as corridors or rows of equal pillars",
+        "drive on with a tracker, or pass a prior",
+    )
+    NOT_IN_MAP = (
+        "not in the map",
+        "nothing in the map fits: the scan is from another place, or sees too little",
+        "drive on, or map the place",
+    )
+    TOO_UNCERTAIN = (
+        "too uncertain",
+        "the scan sees too little, or is at the edge of the map; the message names a pose far off "
+        "the mapped trajectory, or points in known free space",
+        "drive on with a tracker, or map what is missing",
+    )
+    NOT_NEAR_PRIOR = (
+        "not near the prior",
+        "the scan fits somewhere else than the prior",
+        "widen `--radius`, or add `--anywhere`",
+    )
 
     def __str__(self) -> str:
-        return self.value
+        return str.__str__(self)
 
     def below(self, value: float, least: float) -> str:
-        """The sentence for a share or a probability that falls short, with enough digits to tell
-        them apart, and what is needed from 1."""
+        """Format a share or probability below its limit, with enough digits to distinguish them."""
         digits = 2
         while digits < 6 and round(least, digits) in (round(value, digits), 1.0):
             digits += 1
@@ -42,7 +95,7 @@ class Reason(str, Enum):
 
 
 def ambiguous_with(T_map_other: Pose) -> str:
-    """The sentence for a query that another (4, 4) pose explains about as well."""
+    """Format the reason of a query that another (4, 4) pose explains about as well."""
     x, y = T_map_other[:2, 3]
     return f"ambiguous (another place, at {x:.0f}, {y:.0f}, explains the query about as well)"
 
@@ -105,7 +158,7 @@ class _Answer:
         Share of the query cloud, up to the height that the map reaches there, that lies on the map
         at it, in [0, 1].
     seen : float or None
-        Share of the judged map points that the query sees there, in [0, 1]; the others are
+        Share of the compared map points that the query sees there, in [0, 1]; the others are
         free-space violations. None where nothing of the map is in view.
     proposer : str or None
         What found the pose: "segments" (their matches), "stems", "occupancy", or a proposer of
@@ -162,7 +215,7 @@ class _Answer:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Localized(_Answer):
-    """A believed pose; ``str`` gives it in one line.
+    """An accepted pose; ``str`` formats it in one line.
 
     Attributes
     ----------
@@ -202,7 +255,7 @@ class Localized(_Answer):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class NotLocalized(_Answer):
-    """No pose is believed; ``str`` says why in one line.
+    """No accepted pose; ``str`` gives the reason in one line.
 
     Attributes
     ----------

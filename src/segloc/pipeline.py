@@ -31,7 +31,7 @@ _ALIGNED_M, _ARM_M = 2.0, 10.0
 
 @dataclass(frozen=True)
 class Proposed:
-    """All candidates so far.
+    """All candidates until now.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Proposed:
     inliers : callable
         Counts the segments that agree with a pose T_map_local, by these matches.
     suffices : bool
-        Whether a place may be believed without asking on.
+        True if no further proposal could change the decision.
     """
 
     count: int
@@ -65,9 +65,9 @@ class Search:
         T_map_local, at different places, before they were compared with the map.
     posterior : Posterior
     reason : Reason or None
-        Why the likeliest place is not believed; None where it is.
+        Why the most probable place is rejected; None if it is accepted.
     message : str
-        The same as a sentence with its figures; "" where it is believed.
+        The reason as a sentence with figures; "" if accepted.
     fits : sequence of Observation
         What was measured at the places of the posterior.
     near : Prior or None
@@ -194,8 +194,8 @@ def explained(
         why = _off_the_map(near, prior_map, radius_m)
     if not why:
         return result
-    said = f"{near}: {why}" if result.reason is Reason.NOT_NEAR_PRIOR else why
-    return replace(result, message=f"{result.reason} ({said})")
+    detail = f"{near}: {why}" if result.reason is Reason.NOT_NEAR_PRIOR else why
+    return replace(result, message=f"{result.reason} ({detail})")
 
 
 def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
@@ -210,7 +210,7 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
 
 
 def _why(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
-    """The first stage that was left with nothing, or else what the posterior says."""
+    """Return the reason of the first stage without results, or else the posterior's."""
     why, near = _why_anywhere(search, cloud, counts), search.near
     if near is None or why["reason"] in _OF_THE_QUERY:
         return why

@@ -369,7 +369,7 @@ class Segments:
 
 @dataclass(frozen=True)
 class Descriptors:
-    """What a descriptor says of P segments.
+    """Descriptors of P segments.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ import pytest
 from samples.walk import POINTS_ASIDE, Site, run
 
 from segloc import Localizer, SegmentMap
-from segloc.inspect import steps, trace, verdict
+from segloc.inspect import steps, summarize, trace
 from segloc.io import read_trajectory
 from segloc.likelihood import FEATURES
 from segloc.types import Scan
@@ -131,7 +131,7 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
             assert np.allclose(found.T_map_local @ found.T_local_sensor, plain.T_map_sensor)
             assert found.inliers.sum() >= plain.inliers and found.on_map.mean() > 0.8
         assert len(np.unique(found.pairs[:, 0])) == len(found.pairs)
-        assert verdict(found).startswith("localized" if plain.localized else "not localized")
+        assert summarize(found).startswith("localized" if plain.localized else "not localized")
         assert [name for name, _ in steps(found)][:4] == ["cloud", "ground", "segments", "matches"]
 
 

@@ -230,7 +230,7 @@ def test_recordings_that_cannot_be_used(
         (r"0001\.npy", short, []),
         (r"none\.tum: no such file", toy.run_2, ["--poses", "none.tum"]),
         ("selects none", toy.run_2, ["--select", "500:"]),
-        ("no range", toy.run_2, ["--select", "a:b"]),
+        ("neither a number nor a range", toy.run_2, ["--select", "a:b"]),
         ("--every must be a positive", toy.run_2, ["--every", "0"]),
         ("--every must be a positive", toy.run_2, ["--every", "nan"]),
         ("--every needs --poses", toy.run_2, ["--every", "5"]),
@@ -257,8 +257,8 @@ def test_poses_for_some_of_the_scans(
     posed, out = [toy.run_2, "--poses", some], tmp_path / "out"
     there = ["--map", toy.map, "--out", out]
     cases: list[tuple[list[Any], str]] = [
-        (["doctor", *posed], "note: 15 of 30 scans left out"),
-        (["map", "build", *posed, "--out", tmp_path / "some.segmap"], "15 of 30 scans left out"),
+        (["doctor", *posed], "note: 15 of 30 scans dropped"),
+        (["map", "build", *posed, "--out", tmp_path / "some.segmap"], "15 of 30 scans dropped"),
         (["localize", *posed, *there, "--truth", few], "11 of 15 scans are not scored"),
         (["localize", toy.run_2, *there, "--truth", some], "15 of 30 scans are not scored"),
     ]
@@ -294,14 +294,14 @@ def test_several_recordings_make_one_map_whoever_does_it(
     capsys.readouterr()
     assert run("map", "info", here) == 0
     assert "EPSG:25832" in capsys.readouterr().out
-    refused("--level turns", *build, "--level", "--out", there)
+    refused("--level applies", *build, "--level", "--out", there)
     refused("--origin needs --epsg", *build, "--origin", "1,2", "--out", there)
-    refused("--origin is E,N", *build, "--epsg", 25832, "--origin", "1", "--out", there)
-    refused("no bag", "localize", toy.run_2, "--map", here, "--gnss")
-    refused("--gnss needs a map", "localize", toy.run_2, "--map", toy.map, "--gnss")
+    refused("--origin expects E,N", *build, "--epsg", 25832, "--origin", "1", "--out", there)
+    refused("not a bag", "localize", toy.run_2, "--map", here, "--gnss")
+    refused("--gnss needs a georeferenced map", "localize", toy.run_2, "--map", toy.map, "--gnss")
     assert run("map", "tile", toy.map, "--size", 50, "--out", tiles) == 0
     update = ["map", "update", tiles, toy.run_2, "--poses", toy.run_2 / "poses.tum", "--out"]
-    refused("tiles change where they lie", *update, tmp_path / "other")
+    refused("tiles are changed in place", *update, tmp_path / "other")
     assert run(*update, tiles) == 0
     assert run("map", "merge", tiles, here, "--out", tiles) == 0
     assert "tiles changed" in capsys.readouterr().out

@@ -22,7 +22,7 @@ from segloc.errors import SeglocError
 from segloc.inspect import viewer
 from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_points, read_moments
 from segloc.inspect.pictures import GREEN, rgb
-from segloc.inspect.results import packed, read_results, unpacked
+from segloc.inspect.results import pack, read_results, unpack
 from segloc.inspect.scene import FIXED, OF_QUERY, MapScene
 from segloc.tracking.belief import Status
 
@@ -66,15 +66,15 @@ def test_debug_keeps_each_query_small_and_whole(site: Site, results: Path) -> No
     shown = read_results(results)
     assert [each.outcome for each in shown] == ["found", "found", "refused"]
     for each in shown:
-        assert each.seen is not None
+        assert each.stages is not None
         file = results / "debug" / f"{each.index}.npz"
         assert file.stat().st_size < 200_000
-        again = unpacked(packed(each.seen), "again")
-        assert packed(again) == packed(each.seen) == file.read_bytes()
+        again = unpack(pack(each.stages), "again")
+        assert pack(again) == pack(each.stages) == file.read_bytes()
         for field in fields(again):
-            one, other = (getattr(seen, field.name) for seen in (again, each.seen))
+            one, other = (getattr(seen, field.name) for seen in (again, each.stages))
             assert np.array_equal(one, other), field.name
-    found = shown[0].seen
+    found = shown[0].stages
     assert found is not None and found.on_map.mean() > 0.8 and found.inliers.sum() > 5
     assert any("segments agree" in line for line in found.lines)
 
@@ -89,7 +89,7 @@ def test_a_damaged_file_is_one_line(results: Path, tmp_path: Path) -> None:
             broken[at] = int(rng.integers(256))
         for data in (bytes(broken), whole[: int(rng.integers(len(whole)))]):
             try:
-                unpacked(data, "x.npz")
+                unpack(data, "x.npz")
             except SeglocError as error:
                 assert str(error).startswith("x.npz: ") and "\n" not in str(error)
     with pytest.raises(SeglocError, match="no results of `segloc localize --out`"):
@@ -261,7 +261,7 @@ def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Pat
             file.write('{"index": 5, "st')  # cut off: being written
         moments, points = read_moments(out), newest_points(out)
         assert [m.state for m in moments] == ["lost", "localized", "localized"] and follows(out)
-        assert "4 views agree" in moments[-1].said and points is not None
+        assert "4 views agree" in moments[-1].text and points is not None
         draw_moments(scene, moments, points)
         now = api.drawn["/robot/now"].points[0] + prior_map.origin
         assert np.allclose(now[:2], walk.poses[4][:2, 3], atol=1e-3)

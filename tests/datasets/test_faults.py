@@ -106,8 +106,8 @@ def test_a_sensor_that_changes_is_named_with_the_first_scan(
     found = problems(write(tmp_path, clouds, DRIVE.poses), sample=4)
     where = place.format(change)
     assert (
-        f"{where}: another sensor from here on: 3D, 16 beams, -15.0 to 15.0 deg, "
-        "before it 3D, 32 beams, -30.7 to 10.7 deg"
+        f"{where}: another sensor from here on: 3D, 16 beams, -15.0 to 15.0 deg; "
+        "before: 3D, 32 beams, -30.7 to 10.7 deg"
     ) in found
 
 
@@ -162,9 +162,9 @@ def test_info_shows_pose_files_and_scans_without_points(
     with pytest.raises(SystemExit):
         main()
     said = capsys.readouterr().out
-    assert "problem: no point in any of the 3 scans that were read" in said
+    assert "problem: no points in any of the 3 scans" in said
     for name in ("poses.tum", "scans.odometry.tum"):
-        assert f"note: {name} beside the scans may be their poses: --poses {name}" in said
+        assert f"note: {name} beside the scans may hold their poses: --poses {name}" in said
 
 
 def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:

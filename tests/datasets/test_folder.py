@@ -100,8 +100,8 @@ def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: P
     first = open_sequence(folder, tmp_path / "poses.txt")
     assert first.indices.tolist() == [2, 4]
     assert [note.split(": ")[-1] for note in first.notes] == [
-        "2 rows, taken as the poses of the first 2 scans",
-        f"no pose in {tmp_path / 'poses.txt'}; the other 2 are used (--select A:B,C:D uses fewer)",
+        "2 rows, used as the poses of the first 2 scans",
+        f"no pose in {tmp_path / 'poses.txt'}; using the other 2 (--select A:B,C:D selects fewer)",
     ]
 
 
@@ -110,8 +110,8 @@ def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
     write_tum(tmp_path / "poses.tum", straight([2, 3, 4]))
     whole = open_sequence(folder, tmp_path / "poses.tum")
     assert whole.indices.tolist() == [2, 3, 4]
-    left_out = f"5 of 8 scans left out: no pose in {tmp_path / 'poses.tum'}"
-    assert whole.notes == (f"{left_out}; the other 3 are used (--select A:B,C:D uses fewer)",)
+    left_out = f"5 of 8 scans dropped: no pose in {tmp_path / 'poses.tum'}"
+    assert whole.notes == (f"{left_out}; using the other 3 (--select A:B,C:D selects fewer)",)
     part = open_sequence(folder, tmp_path / "poses.tum", "2:4")
     assert part.indices.tolist() == [2, 3, 4]
     assert part.notes == ()
@@ -144,17 +144,17 @@ def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
     empty = recording(tmp_path / "empty", [])
     with pytest.raises(DatasetError, match="no such folder"):
         open_sequence(tmp_path / "missing")
-    with pytest.raises(DatasetError, match="no scans in a known format"):
+    with pytest.raises(DatasetError, match="no scans of a known format"):
         open_sequence(empty)
     (empty / "photo.png").write_bytes(b"")
-    with pytest.raises(DatasetError, match=r"photo\.png: no recording in a known format"):
+    with pytest.raises(DatasetError, match=r"photo\.png: not a recording of a known format"):
         open_sequence(empty / "photo.png")
-    with pytest.raises(DatasetError, match="no scans in a known format among its 1 files"):
+    with pytest.raises(DatasetError, match="no scans of a known format among its 1 files"):
         open_sequence(empty)
     over = tmp_path / "over"
     over.mkdir()
     recording(over / "more", ["0.npy"])
-    with pytest.raises(DatasetError, match="among its 0 files; there are some in more"):
+    with pytest.raises(DatasetError, match="among its 0 files; scans found in subfolders: more"):
         open_sequence(over)
     twice = recording(tmp_path / "twice", ["a_01.npy", "b_1.npy"])
     with pytest.raises(DatasetError, match=r"a_01\.npy and b_1\.npy are both scan 1"):

@@ -94,7 +94,7 @@ def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) 
     assert sequence.poses[:, 0, 3].tolist() == list(range(COUNT))
     for times in (stamps[1:], [0.05 * k for k in range(4 * COUNT)]):  # 0, 1 s are no scans 0, 1
         poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(times)))
-        with pytest.raises(DatasetError, match=r"poses are by time, .* scans have no times"):
+        with pytest.raises(DatasetError, match=r"poses are stamped, .* scans have no stamps"):
             opened(scans, poses)
 
 
@@ -112,13 +112,13 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     folder(over / "scans", ["1", "2"])
     (over / "notes.csv").write_text("battery,1\n")
     with pytest.raises(
-        DatasetError, match=r"among its 1 files \(1 \.csv\); there are some in scans"
+        DatasetError, match=r"among its 1 files \(1 \.csv\); scans found in subfolders: scans"
     ):
         opened(over)
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "known are")]
+    ("name", "hint"), [("scan.e57", "export E57"), ("run.zip", "unpack it"), ("a.doc", "supported")]
 )
 def test_what_cannot_be_read_is_named_with_what_can(name: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"x")
@@ -227,9 +227,9 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
     assert np.isfinite(sequence.poses).all()
     text = "\n".join(sequence.notes)
     for line in (
-        "/gps/odom: no poses, of 12 none is usable",
-        "/odom: 1 of 6 poses left out",
-        "/tf: transforms of 'odom' left out: 2",
+        "/gps/odom: none of its 12 poses is usable",
+        "/odom: 1 of 6 poses dropped",
+        "/tf: 2 transforms of 'odom' dropped",
         "tf: 'camera' has two parents, 'base' and 'gps'",
     ):
         assert line in text

@@ -144,7 +144,7 @@ def test_verbs_take_a_bag_without_poses(
     prior_map = tmp_path / "site.segmap"
     assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
     said = capsys.readouterr().err
-    assert "a map needs a pose for every scan: name a file by --poses, or use --odom" in said
+    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in said
     options = ["--method", "geo", "--every", "10", "--threads", "1"]
     assert (
         segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0
@@ -207,8 +207,8 @@ def moved(*ways: float) -> list[Float64]:
     [
         (moved(0, 0.5, float("nan")), "not finite"),
         (moved(0, 0.5, 40), r"a step of 39\.5 m"),
-        ([*moved(0, 0.7), np.eye(4)], "back at the beginning"),
-        (moved(*np.arange(10) * 0.5), "scans do not fit each other"),
+        ([*moved(0, 0.7), np.eye(4)], "returned to the origin"),
+        (moved(*np.arange(10) * 0.5), "scans do not match"),
     ],
 )
 def test_odometry_that_was_lost_is_an_error(
@@ -247,9 +247,9 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     for problem in (
         "000000.bin: cut off: 4795 bytes",
         "000007.bin: 100 of 300 points are not finite",
-        "000009.bin: 30 points, where others have 300",
-        "times do not rise behind scan 40",
-        "1 gaps in time, the longest 3.10 s behind scan 19",
+        "000009.bin: 30 points, the median is 300",
+        "stamps do not rise after scan 40",
+        "1 gaps in time, the longest 3.10 s after scan 19",
         "poses jump 1 times, by 50",
     ):
         assert problem in text

@@ -54,9 +54,9 @@ def announced(path: Path) -> set[int]:
 def test_every_file_of_a_known_suffix_is_read_and_no_other(folder: str) -> None:
     for path in files(folder):
         if path.name in OTHERS:
-            fault = f"whole records of {OTHERS[path.name]}.*: open the sequence's folder"
+            fault = f"fit records of {OTHERS[path.name]}.*: open the sequence's folder"
         elif scan_suffix(path) is None:
-            fault = "unknown format; known are"
+            fault = "unknown format; supported:"
         else:
             scan = read_scan(path)
             plausible(scan, path.name)

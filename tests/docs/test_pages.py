@@ -9,16 +9,8 @@ from pathlib import Path
 import pytest
 from samples.source import PROJECT
 
-from segloc.localization import Reason
-
 REPORTS = sorted(path for path in (PROJECT / "reports").iterdir() if path.is_dir())
 PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *PROJECT.glob("docs/**/*.md")]
-
-
-def test_every_reason_of_a_refusal_is_explained() -> None:
-    page = (PROJECT / "docs" / "reference" / "messages.md").read_text("utf-8")
-    rows = re.findall(r"^\| ([a-z ]+) \| .+ \| .+ \|$", page, re.MULTILINE)
-    assert {reason.value for reason in Reason} <= set(rows)
 
 
 def test_every_page_is_in_the_navigation_of_the_site() -> None:

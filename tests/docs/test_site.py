@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 from types import ModuleType
@@ -12,6 +13,8 @@ import typer
 from samples.source import PROJECT
 
 from segloc.cli import app
+from segloc.live.core import StateReason
+from segloc.localization import Reason
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +53,21 @@ def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
         assert f"\n## {name}\n" in pages
     assert "| its own |" in pages
     assert "min_confidence: 0.99  # probability from which a" in site.configuration()
+
+
+def test_every_reason_has_a_row_with_cause_and_remedy(site: ModuleType) -> None:
+    page = site.messages(site.MESSAGES.read_text("utf-8"))
+    for reason in (*Reason, *StateReason):
+        assert reason.likely_cause and reason.remedy, reason
+        assert f"| {reason.likely_cause} | {reason.remedy} |" in page
+
+
+def test_every_reason_of_the_tracker_has_a_remedy() -> None:
+    tree = ast.parse((PROJECT / "src" / "segloc" / "tracking" / "belief.py").read_text("utf-8"))
+    known = [re.sub(r"\{.*?\}.*", "", reason.value) for reason in StateReason]
+    for method in ast.walk(tree):
+        if isinstance(method, ast.FunctionDef) and method.name in ("status", "_unsupported"):
+            texts = [node.value for node in ast.walk(method) if isinstance(node, ast.Constant)]
+            for text in texts[1 if ast.get_docstring(method) else 0 :]:
+                if isinstance(text, str) and len(text.split()) > 2:
+                    assert any(text.startswith(start) for start in known), text

@@ -32,7 +32,7 @@ def turned(axis: str, degrees: float) -> Points:
 POINTS: dict[str, tuple[Points, Fault, str]] = {
     "millimetres": (lambda p: 1000 * p, Fault.MILLIMETRES, "in millimetres: divide them by 1000"),
     "centimetres": (lambda p: 100 * p, Fault.CENTIMETRES, "in centimetres: divide them by 100"),
-    "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "at no plausible place"),
+    "world": (lambda p: p + [150.0, 40, 3], Fault.WORLD_COORDINATES, "outside its own points"),
     "utm": (lambda p: p + [455e3, 5428e3, 110], Fault.WORLD_COORDINATES, "world coordinates"),
     "camera": (
         lambda p: geometry.transform(T_CAMERA_SENSOR, p),
@@ -40,7 +40,7 @@ POINTS: dict[str, tuple[Points, Fault, str]] = {
         "camera's .x right, y down, z forward.: write z, -x, -y",
     ),
     "z down": (lambda p: p * [1, -1, -1], Fault.Z_DOWN, "z axis points down: change the signs"),
-    "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: name how"),
+    "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: set how"),
     "ground": (lambda p: p[p[:, 2] < -1.7], Fault.ONLY_GROUND, "nothing but ground in view"),
 }
 """Of each wrong way to write points: from right ones, what it is found as, and what is said."""
@@ -91,7 +91,7 @@ POSES: dict[str, tuple[Poses, Fault, str]] = {
         Fault.MIRRORED,
         "y axis of the points is mirrored .*: change the sign of y",
     ),
-    "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not meet at their poses"),
+    "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not match at their poses"),
 }
 """Likewise of poses."""
 
@@ -179,7 +179,7 @@ def test_points_for_missing_returns_are_counted_and_are_no_problem(tmp_path: Pat
     assert found.healthy
     said = {finding.fault: str(finding) for finding in found.findings}
     assert said[Fault.MISSING_RETURNS].startswith("20% of the points stand for missing returns")
-    assert "not finite or beyond 1e+08 m: they are left out" in said[Fault.UNUSABLE_POINTS]
+    assert "not finite or beyond 1e+08 m: they are dropped" in said[Fault.UNUSABLE_POINTS]
 
 
 def raw_folder(folder: Path, written: Points) -> Path:

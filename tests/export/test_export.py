@@ -66,7 +66,7 @@ def aligned(tmp_path: Path) -> tuple[Path, Alignment]:
     # Submaps are numbered through all sessions; a loop names them, and the scans they stand at.
     loops = [
         Loop(1, 4, T, covariance, "found", 9, 0.8, weight=0.9),
-        Loop(0, 5, T, covariance, "found", 4, 0.3, reason="too little shared"),
+        Loop(0, 5, T, covariance, "found", 4, 0.3, reason="too little overlap"),
     ]
     ends = np.array([[0, 1], [0, 1]]), np.array([[12, 2], [10, 3]])
     found = Alignment(
@@ -113,7 +113,7 @@ def test_autoware_gets_tiles_that_hold_each_point_once(tmp_path: Path) -> None:
     everything = np.concatenate(parts)
     order, expected = np.lexsort(everything.T), np.lexsort(cloud.astype(np.float32).T)
     assert np.allclose(everything[order], cloud[expected], atol=1e-3)
-    with pytest.raises(Exception, match=r"holds .* already: name a new folder"):
+    with pytest.raises(Exception, match=r"contains .* choose a new folder"):
         export(path, "autoware", tmp_path / "out")
 
 
@@ -194,7 +194,7 @@ def test_loops_are_told_between_scans(tmp_path: Path, aligned: tuple[Path, Align
 def results(folder: Path, timed: bool) -> Path:
     folder.mkdir()
     stamps = np.arange(4.0) + (1.7e9 + 0.25 if timed else 0.0)
-    remark = "" if timed else "no times: the first column holds the scans' numbers"
+    remark = "" if timed else "no times: the first column is the scan number"
     poses = np.stack([turned(3.0 * k, 0.1 * k, 0.0) for k in range(4)])
     write_tum(folder / "poses.tum", Trajectory(stamps, poses), remark)
     (folder / "states.jsonl").write_text("{}\n")
@@ -251,7 +251,7 @@ def test_what_makes_no_sense_is_one_clear_line(
         (site, "loops", "needs results of `segloc align`, and this is a map"),
         (found, "pcd", "needs a map, and this is results of `segloc localize` or `segloc live`"),
         (aligned[0], "autoware", "needs a map, and this is results of `segloc align`"),
-        (site, "dxf", "there is pcd, ply, laz"),
+        (site, "dxf", "supported: pcd, ply, laz"),
         (tmp_path / "empty", "tum", "neither a map nor results"),
         (tmp_path / "nowhere", "tum", "no such file"),
     ):

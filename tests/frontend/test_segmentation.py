@@ -13,7 +13,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from segloc import _native
-from segloc.frontend.segmentation import Segmenter
+from segloc.frontend.segmentation import (
+    SegmentationConfig,
+    Segmenter,
+    heights_above_ground,
+)
 from segloc.types import Float32, LocalCloud
 
 

@@ -430,7 +430,7 @@ def ros1_index(connections: int, chunks: int) -> Callable[[Path], object]:
     return make
 
 
-add("sequence", "chunks.bag", ros1_index(1, 20_000), "its index is longer")
+add("sequence", "chunks.bag", ros1_index(1, 20_000), "the index is longer")
 add("sequence", "connections.bag", ros1_index(3, 1), "one number")
 
 

@@ -189,7 +189,7 @@ def test_archives(tmp_path: Path) -> None:
     assert read(tmp_path, "a.npz", lie) is None
     with zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("points.npy", io_samples.npy(points))
-    with pytest.raises(DatasetError, match="compressed by an unknown method"):
+    with pytest.raises(DatasetError, match="unsupported compression"):
         read_scan(tmp_path / "b.npz")
 
 
@@ -210,8 +210,8 @@ def test_paths_that_are_no_scans(tmp_path: Path) -> None:
     (tmp_path / "photo.jpg").write_bytes(b"")
     for name, fault in (
         ("missing.pcd", "no such file"),
-        ("folder.ply", "not a file"),
-        ("pipe.bin", "not a file"),
+        ("folder.ply", "not a (regular )?file"),
+        ("pipe.bin", "not a (regular )?file"),
         ("photo.jpg", "unknown format"),
         ("n\0ul.bin", "no such file|cannot read"),
         ("long" * 200 + ".bin", "cannot read"),

@@ -57,7 +57,7 @@ def test_written_tum_is_plain_and_of_unit_quaternions(tmp_path: Path) -> None:
     with pytest.raises(SeglocError, match="no folder"):
         write_tum(tmp_path / "missing" / "a.tum", path_of(1))
     twice = Trajectory(np.array([1.0, 1.0 + 1e-12]), np.tile(np.eye(4), (2, 1, 1)))
-    with pytest.raises(DatasetError, match="same to 9 decimals"):
+    with pytest.raises(DatasetError, match="equal to 9 decimals"):
         write_tum(tmp_path / "a.tum", twice)
     assert (tmp_path / "a.tum").read_text().splitlines() == lines
 
@@ -165,7 +165,7 @@ def test_a_trajectory_is_checked_and_keeps_its_own_data() -> None:
     assert trajectory.poses[2, 2, 2] == 1
     with pytest.raises(ValueError, match="read-only"):
         trajectory.poses[0] = 0
-    with pytest.raises(DatasetError, match="do not fit"):
+    with pytest.raises(DatasetError, match="do not match"):
         Trajectory(stamps, trajectory.poses[:2])
     with pytest.raises(DatasetError, match="pose 1: stamps that do not rise"):
         Trajectory(np.zeros(3), trajectory.poses)
@@ -234,5 +234,5 @@ def test_tables_of_poses_are_read_by_their_names(name: str, tmp_path: Path) -> N
 
 def test_a_header_without_all_columns_is_named(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("time,x,y,yaw\n0,1,2,3\n")
-    with pytest.raises(DatasetError, match="line 1: a header without columns of a time, x"):
+    with pytest.raises(DatasetError, match="line 1: header without columns for time, x"):
         read_trajectory(tmp_path / "poses.csv")

@@ -144,7 +144,7 @@ def test_silence_of_the_sensor_is_said_once(localizer: Localizer, plaza: Plaza) 
     T = events[-1].T_odom_base
     said = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
     assert [s.status for s in said] == [Status.DEGRADED] and "no scan for 2" in said[0].reason
-    assert core.silent(3.0).status is Status.DEGRADED
+    assert core.report_silence(3.0).status is Status.DEGRADED
 
 
 def test_the_motion_in_a_scan_is_undone(
@@ -175,7 +175,7 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
     asked = core.due()
     assert asked is not None
     assert not core.ask(asked, near=Prior((500.0, 0.0), 10.0)).places
-    view = core.ask(asked, near=Prior(truth[:2, 3], 10.0), heard=lambda *it: heard.append(it))
+    view = core.ask(asked, near=Prior(truth[:2, 3], 10.0), callback=lambda *it: heard.append(it))
     assert core.answer(asked, view).status is Status.LOCALIZED
     ((query, search, times),) = heard
     assert len(query.scene.segments) and search.posterior.best is not None

@@ -155,7 +155,7 @@ def test_silence_is_noticed_without_anything_coming_in(localizer: Localizer, pla
     with LiveLocalizer(localizer, config, on_state=said.append) as live:
         hand_over(live, plaza, 2)
         time.sleep(0.8)
-    assert [s.reason == "nothing has come in for 0.3 s" for s in said[-2:]] == [False, True]
+    assert [s.reason == "no data received for 0.3 s" for s in said[-2:]] == [False, True]
     assert said[-1].status is Status.DEGRADED and said[-1].T_map_odom is not None
 
 

@@ -144,8 +144,8 @@ def test_a_loop_needs_others_that_agree() -> None:
     loops = [Loop(a, b, T, np.eye(6), "found", 9, 0.9) for a, b, T in right + wrong]
     judged = supported(chain, loops, AlignConfig())
     assert [loop.accepted for loop in judged] == [True] * 3 + [False] * 2
-    assert judged[3].reason == "0 loops near it agree and 3 do not"
-    assert judged[4].reason == "0 loops near it agree and 0 do not"
+    assert judged[3].reason == "0 neighbouring loops agree and 3 do not"
+    assert judged[4].reason == "0 neighbouring loops agree and 0 do not"
     assert not any(loop.accepted for loop in supported(chain, loops[:2], AlignConfig()))
 
 
@@ -173,7 +173,7 @@ def test_the_command_writes_all_of_it(
         main()
     assert end.value.code in (0, None)
     said = capsys.readouterr()
-    assert "nothing connects session 2 (other)" in " ".join(said.err.split())
+    assert "session 2 (other) has no loops" in " ".join(said.err.split())
     facts = json.loads((out / "alignment.json").read_text())
     assert facts["components"] == [[0, 1], [2]]
     assert facts["residual_after"]["median_m"] < 0.1

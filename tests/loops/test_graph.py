@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from segloc.loops.graph import (
     Edges,
+    concatenate_edges,
     jacobians,
-    joined_edges,
-    moved,
+    perturb,
     residuals,
     solve,
     solve_robustly,
@@ -50,7 +50,7 @@ def _drifted(truth: Float64, rng: np.random.Generator) -> tuple[Float64, Edges]:
         [rng.normal([0, 0, 0.004], 0.002, (count - 1, 3)), rng.normal(0, 0.02, (count - 1, 3))],
         axis=1,
     )
-    edges = Edges(clean.first, clean.second, moved(clean.T, errors), clean.covariance)
+    edges = Edges(clean.first, clean.second, perturb(clean.T, errors), clean.covariance)
     poses = [truth[0]]
     for step in edges.T:
         poses.append(poses[-1] @ step)
@@ -65,13 +65,13 @@ def test_jacobians_are_the_derivatives(seed: int, turn: float) -> None:
     exact = _edges(poses, [0], [1])
     axis = rng.normal(size=3)
     error = np.concatenate([turn * axis / np.linalg.norm(axis), rng.normal(size=3)])
-    edges = Edges(exact.first, exact.second, moved(exact.T, error[None]), exact.covariance)
+    edges = Edges(exact.first, exact.second, perturb(exact.T, error[None]), exact.covariance)
     step = 1e-6
     for node, analytic in enumerate(jacobians(poses, edges)):
         for column in range(6):
             bumps = np.zeros((2, 6))
             bumps[node, column] = step
-            ahead, behind = (residuals(moved(poses, s * bumps), edges)[0] for s in (1, -1))
+            ahead, behind = (residuals(perturb(poses, s * bumps), edges)[0] for s in (1, -1))
             np.testing.assert_allclose(
                 (ahead - behind) / (2 * step), analytic[0, :, column], atol=2e-6 * (1 + 30)
             )
@@ -81,13 +81,13 @@ def test_finds_the_exact_poses_again_and_leaves_the_fixed_one() -> None:
     rng = np.random.default_rng(2)
     truth = _circle()
     count = len(truth)
-    edges = joined_edges(
+    edges = concatenate_edges(
         [
             _edges(truth, list(range(count - 1)), list(range(1, count))),
             _edges(truth, list(range(40)), list(range(40, 80))),
         ]
     )
-    start = moved(truth, rng.normal(0, [0.05] * 3 + [0.5] * 3, (count, 6)))
+    start = perturb(truth, rng.normal(0, [0.05] * 3 + [0.5] * 3, (count, 6)))
     start[0] = truth[0]
     found = solve(start, edges, np.ones(len(edges)), np.array([0]))
     np.testing.assert_array_equal(found[0], truth[0])
@@ -103,11 +103,11 @@ def test_right_loops_win_against_wrong_ones_in_spite_of_drift(wrong: int) -> Non
     assert np.linalg.norm(start[-1, :3, 3] - truth[-1, :3, 3]) > 5
     ends = np.arange(0, 40, 2)
     right = _edges(truth, ends.tolist(), (ends + 40).tolist(), 0.05)
-    right = Edges(right.first, right.second, moved(right.T, rng.normal(0, 0.03, (20, 6))),
+    right = Edges(right.first, right.second, perturb(right.T, rng.normal(0, 0.03, (20, 6))),
                   right.covariance)  # fmt: skip
     a, b = rng.integers(0, 40, wrong), rng.integers(40, 80, wrong)
-    lies = moved(_edges(truth, a.tolist(), b.tolist()).T, rng.normal(0, 1, (wrong, 6)) * 8)
-    edges = joined_edges(
+    lies = perturb(_edges(truth, a.tolist(), b.tolist()).T, rng.normal(0, 1, (wrong, 6)) * 8)
+    edges = concatenate_edges(
         [odometry, right, Edges(a, b, lies, np.tile(0.05**2 * np.eye(6), (wrong, 1, 1)))]
     )
     loops = np.arange(len(edges)) >= len(odometry)

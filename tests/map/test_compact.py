@@ -188,21 +188,21 @@ def _recipe(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
     ("change", "fault"),
     [
         (lambda h: h["__metadata__"].pop("coding"), "unreadable coding"),
-        (lambda h: h["__metadata__"].update(coding="{}"), "is to be packed"),
+        (lambda h: h["__metadata__"].update(coding="{}"), "must be packed"),
         (lambda h: h["__metadata__"].update(coding="[" * 99_999), "unreadable coding"),
         (lambda h: h["__metadata__"].update(segmap_version="1"), "is U8"),
-        (_recipe("cloud", shape=[2**40, 3]), "cannot hold"),
-        (_recipe("vectors", shape=[2**40, 7]), "cannot hold"),
+        (_recipe("cloud", shape=[2**40, 3]), "cannot unpack"),
+        (_recipe("vectors", shape=[2**40, 7]), "cannot unpack"),
         (_recipe("vectors", shape=[-1, 7]), "unreadable coding"),
         (_recipe("vectors", shape=[1, 7]), r"is F32 \(1, 7\), not F32|are? .*\(1,"),
         (_recipe("vectors", width=3), "unreadable coding"),
-        (_recipe("vectors", width=2), "vectors: it does not inflate"),
-        (_recipe("vectors", low=[0]), "vectors: its coding is of another width"),
+        (_recipe("vectors", width=2), "vectors: does not inflate"),
+        (_recipe("vectors", low=[0]), "vectors: coded with another width"),
         (_recipe("vectors", exponents=[150] * 7), "vectors: row"),
-        (_recipe("sizes", low=[2**40]), "sizes: it has numbers that are out of range"),
-        (_recipe("sizes", exponents=[40]), "sizes: it has numbers that are out of range"),
+        (_recipe("sizes", low=[2**40]), "sizes: numbers out of range"),
+        (_recipe("sizes", exponents=[40]), "sizes: numbers out of range"),
         (_recipe("stamps", values=1), "stamps"),
-        (_recipe("stamps", values=2**39), "stamps: it is cut short"),
+        (_recipe("stamps", values=2**39), "stamps: cut off"),
         (_recipe("cloud", levels=22), "unreadable coding"),
         (_recipe("cloud", levels=3), "cloud: the octree"),
         (_recipe("cloud", nodes=3), "cloud"),
@@ -235,7 +235,7 @@ def test_a_bomb_inflates_to_no_more_than_it_may(
     def swollen(header: dict[str, Any]) -> None:
         _recipe("vectors", shape=[(1 << 26) // 7, 7])(header)
 
-    assert_refused(tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot hold")
+    assert_refused(tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot unpack")
 
 
 def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ def test_the_limits_themselves_are_allowed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda m: m.add_trajectory(np.eye(4)[None] * np.diag([1, 1, -1, 1])), "no rigid pose"),
+        (lambda m: m.add_trajectory(np.eye(4)[None] * np.diag([1, 1, -1, 1])), "not a rigid pose"),
         (lambda m: _add(m, quality=[1.5]), "quality: row 0 has 1.5: outside 0 to 1"),
         (lambda m: _add(m, sizes=[-3]), "sizes: row 0 has -3"),
         (lambda m: _add(m, centroids=[[1e12, 0, 0]]), "centroids: row 0 has 1e"),

@@ -118,8 +118,8 @@ def _set(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (lambda h: h.update(extra=h.pop("sizes")), "lacks sizes"),
-        (lambda h: h["__metadata__"].pop("descriptor"), "lacks descriptor"),
+        (lambda h: h.update(extra=h.pop("sizes")), "missing sizes"),
+        (lambda h: h["__metadata__"].pop("descriptor"), "missing descriptor"),
         (lambda h: h["__metadata__"].pop("checksum.cloud"), "cloud does not match"),
         (lambda h: h["__metadata__"].clear(), "not a segloc map"),
         (lambda h: h.pop("__metadata__"), "not a segloc map"),
@@ -152,7 +152,7 @@ def test_newer_versions_are_refused(tmp_path: Path, saved: tuple[SegmentMap, byt
 def test_missing_and_strange_paths(tmp_path: Path, saved: tuple[SegmentMap, bytes]) -> None:
     for path, fault in [
         (tmp_path / "none.segmap", "no such file"),
-        (tmp_path, "is a folder"),
+        (tmp_path, "a folder"),
         (Path("/dev/null"), "not a regular file"),
     ]:
         with pytest.raises(MapFormatError, match=fault):

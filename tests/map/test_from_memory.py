@@ -72,9 +72,9 @@ Wrong = Callable[[list[Any], Float64], Any]
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda c, _: build_map(c), "none of 6 has one: T_odom_sensor"),
+        (lambda c, _: build_map(c), "none of the 6 has one: set T_odom_sensor"),
         (lambda c, T: build_map(c, poses=T[:4]), "4 for 6 scans"),
-        (lambda c, T: build_map(c, T), "config must be .* not ndarray: poses go by poses="),
+        (lambda c, T: build_map(c, T), "config must be .* not ndarray; pass poses as poses="),
         (lambda c, T: build_map(c, poses=2 * T), r"poses\[0\] .* R R\^T differs .* by 3"),
         (lambda c, T: build_map(c, poses=np.nan * T), r"poses\[0\] has values that are not finite"),
         (lambda c, T: build_map(c, poses=T[:, :3, 3]), r"\(6, 4, 4\), not \(6, 3\)"),

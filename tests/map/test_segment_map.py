@@ -255,6 +255,6 @@ def test_inputs_are_never_modified_or_kept() -> None:
 @pytest.mark.parametrize("poses", [np.eye(4), np.eye(3)[None], 2 * np.eye(4)[None]])
 def test_a_wrong_trajectory_is_named_and_changes_nothing(poses: Any) -> None:
     prior_map = make_map(1)
-    with pytest.raises(SeglocError, match=r"poses must be numbers|trajectory: row 0 is no rigid"):
+    with pytest.raises(SeglocError, match=r"poses must be numbers|trajectory: row 0 is not"):
         prior_map.add_trajectory(poses)
     assert_same(prior_map, make_map(1))

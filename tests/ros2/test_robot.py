@@ -352,7 +352,7 @@ def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
     listener.walk(plaza, 3)
     listener.robot.quiet(3.0)
     told = diagnose(listener.robot)
-    assert told.level is Level.WARN and "nothing has come in for 3.0 s" in told.message
+    assert told.level is Level.WARN and "no data received for 3.0 s" in told.message
 
 
 def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(

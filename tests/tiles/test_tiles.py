@@ -112,7 +112,7 @@ def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path)
 # --- what is missing, damaged or slow -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["missing", "flipped", "cut short", "another"])
+@pytest.mark.parametrize("how", ["missing", "flipped", "truncated", "another"])
 def test_a_tile_that_cannot_be_had_is_named(cut: Path, how: str) -> None:
     tiles = TiledMap(cut)
     first, second, *_ = tiles.index.tiles
@@ -172,7 +172,7 @@ def test_what_is_no_place_of_tiles_is_refused(tmp_path: Path, whole: SegmentMap)
         with pytest.raises(MapFormatError, match=INDEX):
             TiledMap(folder)
     for size, margin in ((1.0, 0.0), (np.nan, 0.0), (100.0, 2000.0), (100.0, -1.0)):
-        with pytest.raises(ConfigError, match="tiles are"):
+        with pytest.raises(ConfigError, match="tiles must be"):
             cut_tiles(whole, tmp_path / "x", size_m=size, margin_m=margin)
     with pytest.raises(SeglocError, match="no tiles"):
         cut_tiles(SegmentMap.empty("geo", "f", 7), tmp_path / "x")

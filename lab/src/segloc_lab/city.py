@@ -17,7 +17,7 @@ from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, que
 from segloc.loops import Reposed
 from segloc.map import CompactConfig, compacted
 from segloc.system.files import replacing
-from segloc.tiles import INDEX, TiledMap, store_of, written
+from segloc.tiles import INDEX, TiledMap, store_of, write_tile
 from segloc.types import Descriptors, Float64, LocalCloud, Pose
 
 from .simulation import SENSORS, Conditions, SimulatedSequence, simulate_sessions, town
@@ -193,7 +193,7 @@ def widened(tiles: Path, out: Path, times: int) -> int:
         if not (out / tile.file).exists():
             os.link(tiles / tile.file, out / tile.file)
     larger = among_copies(opened.coarse(), times)
-    coarse = written(store_of(out), larger, "coarse")
+    coarse = write_tile(store_of(out), larger, "coarse")
     index = opened.index.model_copy(update={"coarse": coarse})
     with replacing(out / INDEX) as stream:
         stream.write(index.model_dump_json().encode())

@@ -24,7 +24,7 @@ LOWEST_DEG, HIGHEST_DEG, BEAMS = -24.9, 2.0, 64
 ROOM_M = 1.5
 """Around a sensor, free of anything."""
 
-_FEWEST_POINTS = 1000
+_MIN_POINTS = 1000
 
 
 class Unposed(Derived[Recording]):
@@ -128,7 +128,7 @@ def has_room(scan: Scan, mount_height_m: float) -> bool:
     """Whether nothing stands where the sensor does."""
     x, y, z = scan.points.T
     near = (x**2 + y**2 < ROOM_M**2) & (z > 0.4 - mount_height_m)
-    return len(scan) > _FEWEST_POINTS and not near.any()
+    return len(scan) > _MIN_POINTS and not near.any()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Time of a query, stage by stage, by a clock that is handed in."""
+"""Time the stages of a query by a given clock."""
 
 from __future__ import annotations
 

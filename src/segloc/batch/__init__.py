@@ -1,4 +1,4 @@
-"""Many queries at once: run them, score them, and show where and why they fail."""
+"""Run and score many queries, and draw the results."""
 
 from __future__ import annotations
 

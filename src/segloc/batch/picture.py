@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: answers on the map, and errors along the trajectory."""
+"""Pictures of an evaluation: results on the map, and errors along the trajectory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LONG_SIDE_IN, _SHORT_SIDE_IN, _DPI = 11.0, 4.5, 120
 _MARGIN_M = 15.0
 _ARROW_PX = 20.0
 _MARKERS = "oDs^vP*Xh"
-"""Of reasons, the commonest first."""
+"""Markers of reasons, the most frequent first."""
 _ERRORS_SIZE_IN, _ERRORS_DPI = (11.0, 5.0), 110
 _ERRORS_MARGIN_M = 10.0
 
@@ -46,9 +46,9 @@ _ERRORS_MARGIN_M = 10.0
 def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     """Draw the map's cloud in grey and every query on it.
 
-    A localized query is a green dot with an arrow where it looks, a false one a red dot tied to its
-    true place. One that was not localized is hollow, at its true place if that is known, and its
-    shape tells the reason. Where the truth is known it is a blue line.
+    A localized query is a green dot with an arrow for its heading, a false one a red dot connected
+    to its true position. One that was not localized is hollow, at its true position if known, with
+    a marker for the reason. The true trajectory is a blue line.
 
     Returns
     -------
@@ -65,9 +65,9 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.95))
     plan(axes, low, high)
     density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
-    _draw_path(axes, prior_map.trajectory[:, :2, 3], color=PATH, label="path of the map")
+    _draw_path(axes, prior_map.trajectory[:, :2, 3], color=PATH, label="trajectory of the map")
     if evaluation.truths is not None:
-        style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true path of the queries"}
+        style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true trajectory of the queries"}
         _draw_path(axes, evaluation.truths[:, :2, 3], **style)
     _draw_found(axes, evaluation)
     _draw_refused(axes, evaluation)
@@ -81,7 +81,7 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
 def _extent(prior_map: SegmentMap, evaluation: Evaluation) -> tuple[Float64, Float64]:
     parts = [prior_map.trajectory[:, :2, 3], evaluation.positions_found()[:, :2, 3]]
     if len(prior_map.cloud):
-        # A few far points must not shrink the rest.
+        # A few distant points must not shrink the rest.
         parts.append(
             np.percentile(prior_map.cloud[:, :2], [0.5, 99.5], axis=0) + prior_map.origin[:2]
         )
@@ -107,7 +107,7 @@ def _draw_path(axes: Axes, path: Float64, **style: Any) -> None:
 
 
 def _draw_found(axes: Axes, evaluation: Evaluation) -> None:
-    """Those that were localized, and where they look; false ones tied to the truth."""
+    """Draw localized queries with headings; false ones connected to the truth."""
     found = evaluation.positions_found()
     false = evaluation.false[evaluation.localized]
     _draw_dots(axes, found[~false], GREEN, f"localized ({int((~false).sum())})", 4)
@@ -116,7 +116,7 @@ def _draw_found(axes: Axes, evaluation: Evaluation) -> None:
     truths = evaluation.truths[evaluation.false, :2, 3]
     for pair in zip(truths, found[false, :2, 3], strict=True):
         axes.plot(*np.array(pair).T, color=RED, lw=0.8, alpha=0.6, zorder=3)
-    _draw_dots(axes, found[false], RED, f"localized falsely ({int(false.sum())})", 5)
+    _draw_dots(axes, found[false], RED, f"false ({int(false.sum())})", 5)
 
 
 def _draw_dots(axes: Axes, poses: Float64, colour: str, label: str, layer: int) -> None:
@@ -131,11 +131,11 @@ def _draw_dots(axes: Axes, poses: Float64, colour: str, label: str, layer: int) 
 
 
 def _draw_refused(axes: Axes, evaluation: Evaluation) -> None:
-    """Those that were not, a shape for each reason."""
+    """Draw queries that were not localized, one marker per reason."""
     style: dict[str, Any] = {"s": 30, "facecolors": "white", "edgecolors": DARK, "zorder": 2}
     style["linewidths"] = 1.0
     for (reason, chosen), marker in zip(_reasons(evaluation), _MARKERS, strict=False):
-        places, where = np.empty((0, 2)), ", place unknown"
+        places, where = np.empty((0, 2)), ", position unknown"
         if evaluation.truths is not None:
             places, where = evaluation.truths[chosen, :2, 3], ""
         label = f"not localized, {reason} ({int(chosen.sum())}{where})"
@@ -143,19 +143,17 @@ def _draw_refused(axes: Axes, evaluation: Evaluation) -> None:
 
 
 def _reasons(evaluation: Evaluation) -> Iterable[tuple[str, Bools]]:
-    """Each reason and the queries that it was given for, the commonest first."""
-    said = np.array(["" if r.reason is None else r.reason.value for r in evaluation.results])
-    names, counts = np.unique(said[said != ""], return_counts=True)
+    """Yield each reason with its queries, the most frequent first."""
+    text = np.array(["" if r.reason is None else r.reason.value for r in evaluation.results])
+    names, counts = np.unique(text[text != ""], return_counts=True)
     order = np.lexsort((names, -counts))
-    return [(str(names[k]), said == names[k]) for k in order]
+    return [(str(names[k]), text == names[k]) for k in order]
 
 
 def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
-    """Draw the errors over the distance travelled, and the true path coloured by them.
+    """Draw the errors over the distance travelled, and the true trajectory coloured by them.
 
-    Queries that were not localized are ticks below; false ones are red, and left out of the axes
-    where they are far off.
-
+    Queries that were not localized are ticks below; false ones are red, and clipped if far off.
     Returns
     -------
     bytes
@@ -166,10 +164,10 @@ def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
     MissingDependency
         If matplotlib is not installed.
     SeglocError
-        If the truth is not known, or nothing was asked.
+        If the truth is unknown, or there are no queries.
     """
     if evaluation.truths is None or not len(evaluation):
-        raise SeglocError("errors are known only where the truth is")
+        raise SeglocError("errors need the true poses: pass --truth")
     figure = blank(_ERRORS_SIZE_IN, _ERRORS_DPI)
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.93))
     charts, ground = figure.subplots(1, 2, width_ratios=(1.5, 1))
@@ -187,7 +185,7 @@ def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
 
 
 def travelled(truths: Float64) -> Float64:
-    """Metres from the first query to each, (N,); a jump to another part counts as nothing."""
+    """Return metres from the first query to each (N,); a jump between parts counts as zero."""
     steps = np.linalg.norm(np.diff(truths[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(np.where(steps > PATH_BREAK_M, 0.0, steps))])
 
@@ -204,8 +202,8 @@ def _curve(axes: Axes, way: Float64, evaluation: Evaluation, errors: Float64, yl
     if right.any():
         middle = float(np.median(errors[right]))
         axes.axhline(middle, color=DARK, lw=0.8, ls="--")
-        said = f"median {middle:.3f}, 95 % {np.percentile(errors[right], 95):.3f}"
-        axes.set_title(said, loc="right", fontsize=TEXT_PT, color=DARK)
+        text = f"median {middle:.3f}, 95 % {np.percentile(errors[right], 95):.3f}"
+        axes.set_title(text, loc="right", fontsize=TEXT_PT, color=DARK)
     axes.set_ylim(-0.04 * top, top)
 
 

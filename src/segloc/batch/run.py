@@ -1,4 +1,4 @@
-"""Localize a whole recording: query by query, or in parts by an executor; priors from GNSS."""
+"""Localize a whole recording, query by query or in parallel parts, with priors from GNSS."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
-"""One for all queries, or one for each, or none."""
+"""One prior for all queries, one per query, or none."""
 QUERIES = 16
-"""Queries of a part: enough that neighbouring windows share work."""
+"""Queries per part: enough that neighbouring windows share work."""
 LONGEST_GAP_S = 2.0
-"""Longest time between a query and its fix [s]."""
+"""Maximum time between a query and its fix [s]."""
 DEFAULT_ERROR_M, SIGMAS = 10.0, 3.0
-"""Error assumed where the receiver gives none [m]; radius of a prior in standard deviations."""
+"""Error assumed if the receiver reports none [m]; radius of a prior in standard deviations."""
 MAX_RADIUS_M = 500.0
 """Fixes that need a larger radius are ignored [m]."""
 
 
 class Locates(Protocol):
-    """What localizes: a :class:`segloc.Localizer`, or one in tiles."""
+    """A :class:`segloc.Localizer`, tiled or not."""
 
     @property
     def config(self) -> Config: ...
@@ -62,17 +62,17 @@ class Locates(Protocol):
 
 
 def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
-    """Positions in a sequence, one for every so many metres of travel.
+    """Return positions in a sequence, one per ``every_m`` of travel.
 
-    Each is the first scan at the end of such a stretch, so that it has the stretch behind it. A
-    step longer than ``max_gap_m`` is a break in the recording: counting begins anew behind it.
+    Each is the first scan at the end of such a stretch, so that it can accumulate the stretch. A
+    step longer than ``max_gap_m`` is a break in the recording, after which counting restarts.
 
     Parameters
     ----------
     poses : (N, 4, 4) float64
-        NaN where there is none: such scans are left out.
+        NaN for scans without a pose, which are skipped.
     every_m, max_gap_m : float
-        Metres.
+        In metres.
     """
     known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
     steps = np.linalg.norm(np.diff(poses[known, :3, 3], axis=0), axis=1)
@@ -92,15 +92,15 @@ def localize_sequence(
     progress: Callable[[int, int], None] | None = None,
     near: Priors = None,
 ) -> list[Localization]:
-    """Localize the scans at some positions of a recording, each by itself.
+    """Localize the scans at some positions of a recording, each independently.
 
-    Where the recording has poses, a query gathers the scans of the path behind it; otherwise it is
-    the one scan alone. With a prior all of them are near it; or there is one for each, or None.
+    If the recording has poses, a query accumulates the scans before it; otherwise it is a single
+    scan. A prior applies to all queries, or there is one (or None) per query.
 
     Raises
     ------
     DatasetError
-        If a scan cannot be read. A scan that is empty or shows nothing is "not localized".
+        If a scan cannot be read. An empty scan is "not localized".
     """
     results: list[Localization] = []
     sequence = as_recording(scans)
@@ -114,12 +114,12 @@ def localize_sequence(
 
 
 def each_prior(near: Priors, count: int) -> Sequence[Prior | None]:
-    """The prior of each query.
+    """Return the prior of each query.
 
     Raises
     ------
     ConfigError
-        If there are not as many as queries.
+        If their number differs from that of the queries.
     """
     if near is None or isinstance(near, Prior):
         return [near] * count
@@ -131,9 +131,9 @@ def each_prior(near: Priors, count: int) -> Sequence[Prior | None]:
 def query_clouds(
     sequence: Recording, positions: Int64, config: Config, clock: Clock = time.perf_counter
 ) -> Iterator[tuple[LocalCloud, StageTimes]]:
-    """The local cloud of each query, and how long it took to gather; see :func:`localize_sequence`.
+    """Yield the local cloud of each query, and its stage times; see :func:`localize_sequence`.
 
-    Windows that follow one another share their work.
+    Consecutive windows share their work.
     """
     local, poses = config.local_cloud, sequence.poses
     accumulator = Accumulator(local)
@@ -154,15 +154,15 @@ def query_clouds(
 
 @dataclass(frozen=True)
 class Place:
-    """Map and configuration of a run; each process opens them once.
+    """Map and configuration of a run, opened once per process.
 
     Attributes
     ----------
     where : str
-        A map file, or the folder or URL of tiles.
+        Map file, or folder or URL of tiles.
     config : Config
     run : str
-        Unique to a run, since maps may be replaced between runs.
+        Unique per run, since maps may be replaced between runs.
     """
 
     where: str
@@ -203,24 +203,24 @@ def localize_parts(
 ) -> list[Localization]:
     """Localize the scans at some positions of a recording in parts, by an executor.
 
-    Poses, confidences and reasons are those of :func:`segloc.batch.run.localize_sequence`, to the
-    last bit; each process uses one thread.
+    Poses, confidences and reasons equal those of :func:`segloc.batch.run.localize_sequence`, to
+    the last bit; each process uses one thread.
 
     Parameters
     ----------
     where : str
-        A map file, or the folder or URL of tiles, that every process can open.
+        Map file, or folder or URL of tiles, readable by every worker.
     config : Config
     recording : Recording
-        Can be pickled; its files are read where the tasks are done.
+        Must be picklable, and its files readable by the workers.
     positions : (Q,) int64
     executor : Executor
-        Of processes, threads, or a cluster.
+        Processes, threads, or a cluster.
 
     Raises
     ------
     SeglocError
-        What localizing raises; and if a process was ended and its tasks are not done again.
+        As localizing does; and if a process was killed and its tasks cannot be repeated.
     """
     place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
@@ -240,10 +240,10 @@ def localize_parts(
 def gnss_priors(
     fixes: Fixes, georeference: Georeference, stamps: Float64 | None, least_m: float
 ) -> list[Prior | None]:
-    """Make a prior for each query with a GNSS fix near it in time.
+    """Make a prior for each query with a GNSS fix close in time.
 
-    A query that is not found near its fix is searched for in the whole map: between buildings
-    fixes may be far off and underestimate their error.
+    A query that is not found near its fix is searched in the whole map: between buildings fixes
+    may be far off and underestimate their error.
 
     Parameters
     ----------
@@ -251,19 +251,19 @@ def gnss_priors(
     georeference : Georeference
         Of the map.
     stamps : (N,) float64 or None
-        Of the queries, seconds.
+        Of the queries [s].
     least_m : float
-        Radius of a prior with an exact fix: covers errors of antenna, scan and map.
+        Radius for an exact fix [m]; covers errors of antenna, scan and map.
 
     Raises
     ------
     DatasetError
-        If the queries have no times.
+        If the queries have no stamps.
     ConfigError, MissingDependency
         As :meth:`segloc.map.georeference.Georeference.in_map`.
     """
     if stamps is None:
-        raise DatasetError(f"{fixes.source}: fixes are by time, and the scans have no times")
+        raise DatasetError(f"{fixes.source}: stamped fixes, but the scans have no stamps")
     xy = georeference.in_map(fixes.degrees)[:, :2]
     error_m = np.where(np.isfinite(fixes.error_m), fixes.error_m, DEFAULT_ERROR_M)
     after = np.searchsorted(fixes.stamps, stamps).clip(1, max(len(fixes) - 1, 1)) % len(fixes)

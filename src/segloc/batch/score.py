@@ -1,4 +1,4 @@
-"""How right the answers to many queries are."""
+"""Score results against true poses."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ..types import Float64, Int64, Pose
 Bools = NDArray[np.bool_]
 
 COVERAGE_RADIUS_M = 3.0
-"""A query lies within map coverage when the map's trajectory passes this close to it."""
+"""Maximum distance from the map's trajectory within map coverage [m]."""
 
 PATH_BREAK_M = 35.0
-"""Poses of a map's trajectory that are farther apart are not joined."""
+"""Poses of a map's trajectory farther apart are not connected [m]."""
 
 STAGES = (
     "gathering",
@@ -40,7 +40,7 @@ _PATH_STEP_M = 0.5
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a pose may be from the truth and still count as correct."""
+    """Maximum error of a correct pose."""
 
     metres: float = 3.0
     degrees: float = 5.0
@@ -64,11 +64,9 @@ def pose_errors(estimates: Float64, truths: Float64) -> tuple[Float64, Float64]:
 
 
 def distances_to_path(poses: Float64, path: Float64) -> Float64:
-    """Horizontal distance of each pose to a path; infinite where the path is empty.
+    """Return the horizontal distance of each pose from a trajectory; infinite if it is empty.
 
-    The path runs straight between neighbouring poses, except where they are more than
-    ``PATH_BREAK_M`` apart.
-
+    The trajectory is interpolated linearly, except between poses more than ``PATH_BREAK_M`` apart.
     Parameters
     ----------
     poses : (N, 4, 4) float64
@@ -90,12 +88,12 @@ def distances_to_path(poses: Float64, path: Float64) -> Float64:
 
 
 class Evaluation:
-    """Answers to N queries, and the truth where it is known.
+    """Results of N queries, and the truth if known.
 
     Parameters
     ----------
     indices : (N,) int64
-        The queries' numbers in their sequence.
+        Scan numbers of the queries.
     results : list of N Localization
     path : (V, 4, 4) float64
         The map's trajectory.
@@ -105,11 +103,11 @@ class Evaluation:
     Attributes
     ----------
     localized, correct, false, within_coverage : (N,) bool
-        ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those whose
-        true position the map's trajectory passes within ``COVERAGE_RADIUS_M``. Without truths all
-        three are all False.
+        ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those with a
+        true position within ``COVERAGE_RADIUS_M`` of the map's trajectory. All False without
+        truths.
     translation_error, rotation_error, distance_to_map : (N,) float64
-        Metres, degrees, metres; NaN where not known.
+        Metres, degrees, metres; NaN if unknown.
     """
 
     def __init__(
@@ -143,7 +141,7 @@ class Evaluation:
 
     @property
     def stamps(self) -> Float64 | None:
-        """Times of the queries, (N,) float64 seconds; None unless all have one, and rising ones."""
+        """Stamps of the queries (N,) float64 [s]; None unless all have rising ones."""
         stamps = [result.stamp for result in self.results]
         known = np.array([stamp for stamp in stamps if stamp is not None], dtype=np.float64)
         complete = len(known) == len(stamps) and bool((np.diff(known) > 1e-9).all())
@@ -155,7 +153,7 @@ class Evaluation:
         return np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """One query after another in values that JSON can hold; all times are under ``ms``."""
+        """Yield one record per query in JSON values; all times are under ``ms``."""
         for i, (index, result) in enumerate(zip(self.indices, self.results, strict=True)):
             record = {"index": int(index), **_record(result)}
             if self.truths is not None:
@@ -168,7 +166,7 @@ class Evaluation:
             yield {**record, "ms": {k: _finite(v) for k, v in result.times_ms.items()}}
 
     def summary(self) -> dict[str, Any]:
-        """Counts, errors and times over all queries, in values that JSON can hold."""
+        """Return counts, errors and times over all queries in JSON values."""
         known = self.truths is not None
         reasons = Counter(r.reason.value for r in self.results if r.reason is not None)
         summary: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The command line: one module a verb. Heavy imports happen inside the verbs."""
+"""The command line, one module per verb. Heavy imports happen inside the verbs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 __all__ = ["ORDER", "app", "main"]
 _ABOUT = {VERSION, "--verbose"}
-_INTERRUPTED = 130  # as shells have it: 128 and the signal's number
+_INTERRUPTED = 130  # exit status of shells: 128 plus the signal's number
 
 
 def __getattr__(name: str) -> Any:
-    """``app``: all verbs, made once they are asked for."""
+    """``app``: all verbs, created on access."""
     if name == "app":
         return program()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def _asked() -> str | None:
-    """The verb that is asked for, or ``VERSION``; None where a shell asks what can be completed."""
+    """Return the verb on the command line, or ``VERSION``; None during shell completion."""
     words = sys.argv[1:]
     if not words or "_SEGLOC_COMPLETE" in os.environ:
         return None
@@ -39,16 +39,16 @@ def _asked() -> str | None:
 def main() -> None:
     """Run the command line.
 
-    What is the user's to mend ends as one line and exit status 1, Ctrl-C as one line and 130.
+    Errors of the user end as one line and exit status 1, Ctrl-C as one line and 130.
     """
-    # Once all is done and said, Ctrl-C would kill Python without a word while it tidies up.
+    # At the end, Ctrl-C would kill Python without a message while it cleans up.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
         program(_asked())()
     except KeyboardInterrupt:
         _end_interrupted()
     except SystemExit as end:
-        if end.code == _INTERRUPTED:  # by typer, which says nothing
+        if end.code == _INTERRUPTED:  # by typer, without a message
             _end_interrupted()
         raise
     except Exception as error:
@@ -61,8 +61,8 @@ def main() -> None:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error: in the middle of an import it ends as an ImportError."""
-    visited: set[int] = set()  # causes may form a ring
+    """Return whether Ctrl-C caused an error: during an import it becomes an ImportError."""
+    visited: set[int] = set()  # causes may form a cycle
     while error is not None and id(error) not in visited:
         if isinstance(error, KeyboardInterrupt):
             return True

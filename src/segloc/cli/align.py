@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..loops import AlignConfig, Alignment, MapAlignment, Reposed
 
 _NOISE = {"odometry_m", "odometry_deg", "odometry_scale"}
-"""What odometry was taken to err."""
+"""Settings of odometry's errors."""
 
 
 def align(
@@ -43,11 +43,11 @@ def align(
             help="Sessions of one place; the first may be a map to bring the others into.",
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write to.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")],
     poses: PosesOfEach = None,
     select: SelectOfEach = None,
     method: Method = None,
-    every: Annotated[float, typer.Option(metavar="METRES", help="Travel between submaps.")] = 6.0,
+    every: Annotated[float, typer.Option(metavar="METRES", help="Distance between submaps.")] = 6.0,
     min_support: Annotated[
         int, typer.Option(min=1, metavar="COUNT", help="Other loops that must agree with a loop.")
     ] = 2,
@@ -61,9 +61,9 @@ def align(
 ) -> None:
     """Bring sessions with drifting poses, each in its own frame, into one frame.
 
-    Loops within and across sessions are found without an initial guess. Sessions that nothing
-    connects stay apart. With a map (a .segmap file, or tiles) before them, sessions are brought
-    into its frame instead, and one that does not meet it is refused.
+    Loops within and across sessions are found without an initial guess. Sessions without loops to
+    others stay separate. If the first argument is a map (a .segmap file, or tiles), sessions are
+    aligned to it instead, and one that does not meet it is rejected.
     """
     from ..config import validated
     from ..loops import AlignConfig, Reposed, align_sessions
@@ -76,7 +76,7 @@ def align(
     read = _Read(poses, select, topic, deskew, odometry)
     if is_map(sequences[0]):
         if workers != 1 or cluster is not None:
-            raise ConfigError("--workers and --cluster do not go with a map: leave them out")
+            raise ConfigError("--workers and --cluster do not apply to a map: omit them")
         _into_map(sequences, out, read, settings, (config, method, threads))
         return
     chosen = load_config(config, method, threads)
@@ -96,7 +96,7 @@ def align(
 
 @dataclass(frozen=True)
 class _Read:
-    """How sessions are read."""
+    """Options for reading sessions."""
 
     poses: list[Path] | None
     select: list[str] | None
@@ -105,7 +105,7 @@ class _Read:
     odometry: bool
 
     def opened(self, sequences: list[Path], config: Config) -> list[Sequence]:
-        """The sessions, all with poses."""
+        """Open the sessions, all with poses."""
         from .options import each
         from .recording import open_recording
 
@@ -128,7 +128,7 @@ class _Read:
 
 
 def is_map(path: Path) -> bool:
-    """Whether an argument names a map: a file, or tiles."""
+    """Return whether an argument is a map: a file, or tiles."""
     from ..tiles.index import INDEX
 
     return path.suffix == ".segmap" or (path / INDEX).exists()
@@ -141,7 +141,7 @@ def _into_map(
     settings: AlignConfig,
     options: tuple[Path | None, str | None, int],
 ) -> None:
-    """Bring sessions into the frame of the first path, a map."""
+    """Align sessions to the frame of the first path, a map."""
     from ..errors import MapMismatch
     from ..loops import align_to_map
     from ..map.segment_map import SegmentMap
@@ -152,22 +152,22 @@ def _into_map(
     config, method, threads = options
     where, sequences = str(paths[0]), paths[1:]
     if not sequences:
-        raise ConfigError(f"{where} is a map: name the sessions that are to be brought into it")
+        raise ConfigError(f"{where} is a map: pass the sessions to align after it")
     prior_map = TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
     described = prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
     if method not in (None, described.descriptor):
-        raise MapMismatch(f"{where} was described by {described.descriptor!r}, not {method!r}")
+        raise MapMismatch(f"{where} has descriptor {described.descriptor!r}, not {method!r}")
     chosen = map_settings(described, config, threads)
     recordings = read.opened(sequences, chosen)
     alignment = align_to_map(prior_map, recordings, chosen, settings, progress)
     _write_in_map(out, alignment, settings)
     for name, line in told(alignment):
         print(f"{name}: {line}")
-    print(f"{out} has session_0.tum ..., poses in the frame of {paths[0].name}, alignment.json")
+    print(f"{out}: session_0.tum ..., poses in the frame of {paths[0].name}; alignment.json")
 
 
 def told(alignment: MapAlignment) -> list[tuple[str, str]]:
-    """Each session, and how well it is tied to the map."""
+    """Describe how well each session is connected to the map."""
     from ..loops.summary import summary_to_map
 
     lines = []
@@ -176,9 +176,9 @@ def told(alignment: MapAlignment) -> list[tuple[str, str]]:
         lines.append(
             (
                 facts["name"],
-                f"{facts['anchors_accepted']} of {facts['submaps']} places agree on where it lies "
-                f"in the map ({facts['anchors_rejected']} rejected), to {residual:.2f} m in the "
-                f"median; at most {facts['unanchored_m']:.0f} m from one of them",
+                f"{facts['anchors_accepted']} of {facts['submaps']} submaps agree "
+                f"({facts['anchors_rejected']} rejected), residual {residual:.2f} m (median); at "
+                f"most {facts['unanchored_m']:.0f} m from one of them",
             )
         )
     return lines
@@ -203,7 +203,7 @@ def _write_tracks(out: Path, alignment: Alignment | MapAlignment) -> None:
 
 
 def _check(paths: list[Path], recordings: list[Sequence]) -> None:
-    """Refuse sessions without poses before the work, and say where sensors differ."""
+    """Reject sessions without poses, and note different sensors."""
     from ..datasets.signature import sensor_of
     from ..errors import DatasetError
     from .console import note
@@ -211,12 +211,12 @@ def _check(paths: list[Path], recordings: list[Sequence]) -> None:
     for k, (path, recording) in enumerate(zip(paths, recordings, strict=True)):
         if recording.poses is None:
             raise DatasetError(
-                f"{path}: session {k} has no poses: name a file by --poses, or use --odometry"
+                f"{path}: session {k} has no poses: pass --poses FILE, or use --odometry"
             )
     sensors = [sensor_of(recording) for recording in recordings]
     if len(set(sensors) - {""}) > 1:
-        listed = ", ".join(f"{k} {sensor or 'nothing'}" for k, sensor in enumerate(sensors))
-        note(f"sessions are of different sensors and may share few segments: {listed}")
+        listed = ", ".join(f"{k} {sensor or 'none'}" for k, sensor in enumerate(sensors))
+        note(f"sessions of different sensors may share few segments: {listed}")
 
 
 def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
@@ -234,14 +234,14 @@ def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
     try:
         image = picture(alignment)
     except MissingDependency as error:
-        note(f"no before_after.png: {error}")
+        note(f"before_after.png not written: {error}")
         return
     with replacing(out / "before_after.png") as stream:
         stream.write(image)
 
 
 def _suffix(component: int) -> str:
-    """The largest component is the prior_map; the others are numbered."""
+    """Return "" for the largest component, a number for the others."""
     return f"_{component}" if component else ""
 
 
@@ -286,4 +286,4 @@ def _show(alignment: Alignment, out: Path) -> None:
     table(str(out), ("", ""), rows)
     for c, members in enumerate(alignment.components[1:], start=1):
         names = ", ".join(f"{k} ({alignment.names[k]})" for k in members)
-        note(f"nothing connects session {names} to the others: see prior_map{_suffix(c)}.segmap")
+        note(f"session {names} has no loops to the others: see site{_suffix(c)}.segmap")

@@ -13,7 +13,7 @@ def config(
     method: Method = None,
     every: Annotated[
         bool,
-        typer.Option("--all", help="Also print the settings that the confidence was fitted under."),
+        typer.Option("--all", help="Also print the settings that the confidence was fitted with."),
     ] = False,
 ) -> None:
     """Print the configuration as YAML, with defaults and the meaning of each key."""

@@ -1,4 +1,4 @@
-"""What a verb shows: progress on stderr, tables on stdout."""
+"""Output of verbs: progress on stderr, tables on stdout."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from contextlib import contextmanager
 
 _UNWRAPPED = 10_000  # columns
 SECONDS_A_LINE = 10.0
-"""Shortest time between two lines of progress where stderr is no terminal [s]."""
+"""Minimum time between two lines of progress if stderr is not a terminal [s]."""
 
 Update = Callable[[int, int], None]
 
 
 @contextmanager
 def progress(label: str) -> Iterator[Update]:
-    """Show a bar on stderr that is moved by calling ``update(done, total)``.
+    """Show a progress bar on stderr, advanced by calling ``update(done, total)``.
 
-    Without a terminal, show a line every ``SECONDS_A_LINE`` at most.
+    Without a terminal, print a line at most every ``SECONDS_A_LINE``.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -27,7 +27,9 @@ def progress(label: str) -> Iterator[Update]:
     if not console.is_terminal:
         yield _lines(label)
         return
-    count = TextColumn("{task.fields[count]}", style="progress.download")  # once it is known
+    count = TextColumn(
+        "{task.fields[count]}", style="progress.download"
+    )  # set with the first update
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -59,7 +61,7 @@ def _lines(label: str) -> Update:
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """A sign of life on stderr; none without a terminal."""
+    """Show a spinner on stderr; nothing without a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)
@@ -71,7 +73,7 @@ def busy(label: str) -> Iterator[None]:
 
 
 def note(text: str) -> None:
-    """A remark on stderr; in one line where that is no terminal."""
+    """Print a remark to stderr; on one line without a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)
@@ -80,7 +82,7 @@ def note(text: str) -> None:
 
 
 def say(text: str) -> None:
-    """A line of progress on stderr, as it is."""
+    """Print a line of progress to stderr."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -90,9 +92,9 @@ def table(
     rows: Sequence[Sequence[str]],
     texts: Sequence[int] = (0,),
 ) -> None:
-    """Print a table: text in the first column, or in those named, and numbers in the others.
+    """Print a table: text in the first column, or in ``texts``, and numbers in the others.
 
-    Where stdout is no terminal, nothing in it is wrapped.
+    Nothing is wrapped if stdout is not a terminal.
     """
     from rich.console import Console
     from rich.table import Table
@@ -101,7 +103,7 @@ def table(
     console = Console()
     if not console.is_terminal:
         console = Console(width=_UNWRAPPED)
-    console.print(Text(title, style="bold"), soft_wrap=True)  # a title of the table's would wrap
+    console.print(Text(title, style="bold"), soft_wrap=True)  # a table's own title would wrap
     shown = Table(show_header=any(header))
     for i, name in enumerate(header):
         shown.add_column(name, justify="left" if i in texts else "right", overflow="fold")
@@ -111,5 +113,5 @@ def table(
 
 
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
-    """A number with its unit, or a dash where there is none."""
+    """Format a number with its unit, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"

@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from ..sample import SampleDrive
 
 QUERY_EVERY_M = 4.0
-"""Below the spacing of the sample's scans: every scan is a query, but for the first."""
+"""Less than the spacing of the sample's scans: every scan except the first is a query."""
 
 FAR_AWAY_M = 1e5
-"""Offset of the other town in the map's frame: nowhere in it is a right answer."""
+"""Offset of the other town in the map's frame, so that every answer is false."""
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")] = Path("demo"),
 ) -> None:
     """Map the recorded sample, then localize a drive of another day, and one in another town.
 
-    The second drive comes the opposite way, among other parked cars, and also leaves the map.
+    The second drive goes in the opposite direction, past other parked cars, and partly off the map.
     """
     from .. import sample
     from ..config import Config
@@ -43,10 +43,10 @@ def demo(
     write_results(out / "revisit", prior_map, again, "Another day in the mapped town")
     write_results(out / "elsewhere", prior_map, other, None)
     prior_map.save(out / "town.segmap")
-    _show(again.summary(), other.summary(), f"The sample, described by {prior_map.descriptor}")
+    _show(again.summary(), other.summary(), f"The sample, descriptor {prior_map.descriptor}")
     picture = out / "revisit" / "trajectory.png"
-    drawn = f", its picture with the answers {picture}" if picture.is_file() else ""
-    print(f"The map is {out}/town.segmap{drawn}")
+    drawn = f", picture with the answers: {picture}" if picture.is_file() else ""
+    print(f"Map: {out}/town.segmap{drawn}")
 
 
 def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: float) -> Evaluation:
@@ -73,7 +73,10 @@ def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
         row("queries", lambda s: s["queries"]),
         row("within map coverage", lambda s: s["within_coverage"]),
         row("  localized correctly", lambda s: s["within_coverage_correct"]),
-        row("near the map, correctly too", lambda s: s["correct"] - s["within_coverage_correct"]),
+        row(
+            "localized correctly near the map",
+            lambda s: s["correct"] - s["within_coverage_correct"],
+        ),
         row("localized falsely", lambda s: s["false"]),
         row("refused", lambda s: s["not_localized"]),
         row("error, median", lambda s: number(s["translation_error_m"]["median"], "m")),

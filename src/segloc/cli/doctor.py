@@ -24,7 +24,7 @@ def doctor(
 ) -> None:
     """Check a recording and suggest fixes; exits 1 if anything is wrong.
 
-    Scans are checked for units, axes and tilt, poses by how well neighbouring clouds fit.
+    Checks units, axes and tilt of the scans, and whether neighbouring clouds match at the poses.
     """
     recording, found = examined(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
@@ -58,12 +58,12 @@ def examined(
     T = place_of_sensor(local_cloud.mount)
     opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
     recording = cast(Examinable, opened)
-    with busy("Looking at the scans"):
+    with busy("Examining the scans"):
         return recording, examine(recording, local_cloud, sample)
 
 
 def show_findings(found: Examination) -> None:
-    """Print one line a finding."""
+    """Print one line per finding."""
     for finding in found.findings:
         print(f"{'problem' if finding.wrong else 'note'}: {finding}")
 
@@ -72,11 +72,11 @@ def show_pose_files(sequence: Path, recording: Examinable) -> None:
     """If a recording has no poses, list files that may hold them."""
     if recording.poses is None:
         for name in pose_files(sequence.resolve()):
-            print(f"note: {name} beside the scans may be their poses: --poses {name}")
+            print(f"note: {name} beside the scans may hold their poses: --poses {name}")
 
 
 def pose_files(sequence: Path) -> list[str]:
-    """Files beside a recording that may hold its poses, as names for ``--poses``."""
+    """Return the names of files beside a recording that may hold its poses, for ``--poses``."""
     inside = sorted(sequence.glob("*.tum")) if sequence.is_dir() else []
     beside = [sequence.parent / f"{sequence.name}{end}" for end in (".tum", ".odometry.tum")]
     return [path.name for path in (*inside, *beside) if path.is_file()]

@@ -37,7 +37,7 @@ def explain(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Show one query stage by stage, and why it is or is not localized.
+    """Show the stages of one query, and why it is or is not localized.
 
     With poses, the query is a cloud accumulated over the path behind the scan.
     """
@@ -69,7 +69,7 @@ def explain(
 
         with busy("Drawing"):
             write_text(html, page(found, localizer.prior_map, findings))
-        print(f"\n{html} has the pictures")
+        print(f"\npictures: {html}")
 
 
 def _position(recording: Recording, number: int | None) -> int:
@@ -85,7 +85,7 @@ def _position(recording: Recording, number: int | None) -> int:
 
 
 def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> list[str]:
-    """What `segloc doctor` says of that scan."""
+    """Return the findings of `segloc doctor` on that scan."""
     from ..doctor import scan_findings
 
     found = scan_findings([recording.scan(position)], config, posed=recording.poses is not None)
@@ -93,9 +93,9 @@ def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> 
 
 
 def _show(trace: Trace, findings: list[str]) -> None:
-    from ..inspect import steps, verdict
+    from ..inspect import steps, summarize
 
-    print(verdict(trace))
+    print(summarize(trace))
     for line in findings:
         print(line)
     print()

@@ -35,7 +35,7 @@ def export(
     ] = 0.05,
     heights: Annotated[
         str,
-        typer.Option(metavar="LOW,HIGH", help="Heights of obstacles over ground [m], for nav2."),
+        typer.Option(metavar="LOW,HIGH", help="Heights of obstacles above ground [m], for nav2."),
     ] = "0.4,1.8",
     epsg: Annotated[
         int | None,
@@ -43,7 +43,7 @@ def export(
             min=1,
             metavar="CODE",
             help="EPSG code of the map's frame, for GeoJSON.",
-            show_default="not known",
+            show_default="unknown",
         ),
     ] = None,
     at: Annotated[
@@ -51,16 +51,16 @@ def export(
         typer.Option(
             metavar="LAT,LON",
             help="Origin of the map [degrees], for GeoJSON; x points east.",
-            show_default="not known",
+            show_default="unknown",
         ),
     ] = None,
 ) -> None:
     """Export a map or results to another format.
 
-    pcd, ply, laz: the map's cloud. autoware: the same in tiles, with pointcloud_map_metadata.yaml.
-    nav2: occupancy grid, map.pgm and map.yaml; of a building with storeys one pair each.
-    g2o: the scans of aligned sessions, with odometry and loops. loops: these loops as JSON lines.
-    tum: poses, by time where the recording has times. geojson: paths.
+    pcd, ply, laz: the map's cloud. autoware: the cloud in tiles, with pointcloud_map_metadata.yaml.
+    nav2: occupancy grid, map.pgm and map.yaml, one pair per storey. g2o: the scans of aligned
+    sessions, with odometry and loops. loops: these loops as JSON lines. tum: poses, by stamp if the
+    recording has stamps. geojson: trajectories.
     """
     from ..export import export as written
     from ..export.formats import Options

@@ -19,7 +19,7 @@ def info(
     sample: Sample = 20,
     config: ConfigFile = None,
 ) -> None:
-    """Show the facts of a recording, and its problems."""
+    """Show facts about a recording, and its problems."""
     from .doctor import examined, show_pose_files
 
     recording, found = examined(sequence, poses, select, topic, sample, config)
@@ -29,7 +29,7 @@ def info(
 
 
 def show(recording: Examinable, examination: Examination) -> None:
-    """Print a recording's facts as one table, and below what is wrong with it."""
+    """Print a recording's facts as a table, followed by its problems."""
     from ..datasets.inspection import UNUSABLE
     from .console import number, table
     from .doctor import show_findings
@@ -48,7 +48,7 @@ def show(recording: Examinable, examination: Examination) -> None:
         ("poses", found.poses),
         ("path", number(found.length_m, "m", 1)),
         ("roll and pitch", examination.attitude),
-        ("points of a scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
+        ("points per scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
         (f"points {UNUSABLE}", f"{100 * found.dropped:.2f} %"),
         ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
         ("problems", str(wrong) if wrong else "none found"),

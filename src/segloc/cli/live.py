@@ -60,7 +60,7 @@ _VOXEL_M = 0.3
 def live(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")],
     poses: OdometryPoses = None,
     select: Select = None,
     truth: Truth = None,
@@ -133,7 +133,7 @@ def live(
 
 
 def _settings(every_m: float, rate: float) -> Any:
-    """In real time a query ends within a second or so; otherwise it takes the time it takes."""
+    """Return the settings; in real time a query is limited to about a second."""
     from ..live import LiveConfig
 
     settings = LiveConfig(deadline_ms=_DEADLINE_MS if rate else None)
@@ -142,7 +142,7 @@ def _settings(every_m: float, rate: float) -> Any:
 
 
 def _teller(recording: Scans) -> Callable[[int, State], None]:
-    """Prints a line whenever the state changes."""
+    """Return a callback that prints a line whenever the state changes."""
     from .console import say
 
     last: list[str] = []
@@ -178,7 +178,7 @@ def _lines(recording: Scans, played: Replay) -> list[str]:
 
 
 def _poses(recording: Scans, played: Replay) -> bytes:
-    """T_map_sensor by the scans' times, or else by their numbers."""
+    """Return T_map_sensor by stamp, or else by scan number."""
     import numpy as np
 
     from ..io import Trajectory
@@ -193,7 +193,7 @@ def _poses(recording: Scans, played: Replay) -> bytes:
     timed = recording.stamps is not None
     keys = recording.stamps if recording.stamps is not None else recording.indices
     track = np.array([found[k] for k in rows], dtype=np.float64).reshape(-1, 4, 4)
-    remark = "" if timed else "no times: the first column holds the scans' numbers"
+    remark = "" if timed else "no times: the first column is the scan number"
     return tum_bytes(Trajectory(np.asarray(keys, dtype=np.float64)[rows], track), remark)
 
 
@@ -216,7 +216,7 @@ def _show(facts: dict[str, Any], title: str) -> None:
 
 
 class SoFar:
-    """Keep states and the newest scan in a folder while a replay runs, for `segloc view`.
+    """Store states and the newest scan in a folder during a replay, for `segloc view`.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class SoFar:
         Created with the first state.
     recording : Recording
     clouds : bool
-        Whether the thread that adds states may read scans.
+        True if the thread that adds states may read scans.
     """
 
     def __init__(self, out: Path, recording: Scans, clouds: bool = True) -> None:
@@ -279,7 +279,7 @@ class SoFar:
 
 
 def record(recording: Scans, position: int, state: State) -> dict[str, Any]:
-    """Values for JSON: a state with the number and stamp of its scan."""
+    """Return a state as JSON values, with the number and stamp of its scan."""
     return {
         "index": int(recording.indices[position]),
         **state.record(),

@@ -60,12 +60,10 @@ MapOrTiles = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR", help="Folder of the results.", show_default="none: they are printed"
-    ),
+    typer.Option(metavar="DIR", help="Output folder.", show_default="none: results are printed"),
 ]
 Debug = Annotated[
-    bool, typer.Option("--debug", help="Also keep the stages of each query for `segloc view`.")
+    bool, typer.Option("--debug", help="Also store the stages of each query for `segloc view`.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print everything as JSON.")]
 MOST_ROWS = 20
@@ -122,12 +120,12 @@ def localize(
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(mount))
     positions = _positions(recording, truths, every, localizer.config.local_cloud.max_gap_m)
     priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
-    asked = Queries(localizer, prior_map, recording, positions, priors)
+    queries = Queries(localizer, prior_map, recording, positions, priors)
     with progress("Localizing") as update, executing(workers, cluster) as executor:
-        results, kept = _in_detail(asked, update) if debug else (asked.by(executor, update), {})
+        results, kept = _in_detail(queries, update) if debug else (queries.by(executor, update), {})
     tolerance = Tolerance(tolerance_m, tolerance_deg)
-    evaluation = asked.scored(results, prior.trajectory, truths, tolerance)
-    _tell(asked, evaluation, name, out, kept, json)
+    evaluation = queries.scored(results, prior.trajectory, truths, tolerance)
+    _tell(queries, evaluation, name, out, kept, json)
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
@@ -137,14 +135,14 @@ def _check_out(out: Path | None, debug: bool, alone: bool) -> None:
     if out is not None:
         check_folder(out)
     elif debug:
-        raise ConfigError("--debug needs --out DIR, to keep what each stage made there")
+        raise ConfigError("--debug needs --out DIR, to store the stages of each query")
     if debug and not alone:
-        raise ConfigError("--debug keeps more than workers hand back: leave one of them out")
+        raise ConfigError("--debug works in one process only: omit --workers and --cluster")
 
 
 @dataclass(frozen=True)
 class Queries:
-    """Queries of a recording, and where they are localized."""
+    """Queries of a recording, and their map."""
 
     localizer: Localizer
     where: str
@@ -153,7 +151,7 @@ class Queries:
     near: Priors
 
     def by(self, executor: Executor | None, update: Update) -> list[Localization]:
-        """The answers, made here or by others."""
+        """Localize the queries in this process, or by an executor."""
         from ..batch.run import localize_parts, localize_sequence
 
         recording, positions, near = self.recording, self.positions, self.near
@@ -169,7 +167,7 @@ class Queries:
         truths: Float64 | None,
         tolerance: Tolerance,
     ) -> Evaluation:
-        """The answers beside the truth, where it is known."""
+        """Return the results with the true poses, if known."""
         from ..batch.score import Evaluation
 
         known = None if truths is None else truths[self.positions]
@@ -177,63 +175,63 @@ class Queries:
         return Evaluation(indices, results, path, known, tolerance)
 
 
-def _in_detail(asked: Queries, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
-    """The answers, and files of what each stage made of each query."""
+def _in_detail(queries: Queries, update: Update) -> tuple[list[Localization], dict[str, bytes]]:
+    """Localize the queries; return the results, and files of their stages."""
     from ..batch.run import each_prior, query_clouds
     from ..errors import ConfigError
     from ..inspect import trace
-    from ..inspect.results import DEBUG, packed, seen
+    from ..inspect.results import DEBUG, pack, stages_of
 
-    localizer, recording = asked.localizer, asked.recording
+    localizer, recording = queries.localizer, queries.recording
     if localizer.tiles is not None:
-        raise ConfigError("--debug needs a map file: what tiles hold is not kept")
+        raise ConfigError("--debug needs a map file: it does not support tiles")
     results, kept = [], {}
-    clouds = query_clouds(recording, asked.positions, localizer.config, localizer.clock)
-    priors = each_prior(asked.near, len(asked.positions))
-    indices = recording.indices[asked.positions]
+    clouds = query_clouds(recording, queries.positions, localizer.config, localizer.clock)
+    priors = each_prior(queries.near, len(queries.positions))
+    indices = recording.indices[queries.positions]
     for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
         found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
         results.append(found.result)
-        kept[f"{DEBUG}/{index}.npz"] = packed(seen(found))
-        update(len(results), len(asked.positions))
+        kept[f"{DEBUG}/{index}.npz"] = pack(stages_of(found))
+        update(len(results), len(queries.positions))
     return results, kept
 
 
 def _tell(
-    asked: Queries,
+    queries: Queries,
     evaluation: Evaluation,
     name: str,
     out: Path | None,
     kept: dict[str, bytes],
     json: bool,
 ) -> None:
-    """Write and show the answers, and a hint where there is one."""
+    """Write and show the results, with a hint on failures."""
     from ..doctor import hint
     from .console import busy, note
     from .results import write_results
 
-    recording, localizer, written = asked.recording, asked.localizer, list[str]()
+    recording, localizer, written = queries.recording, queries.localizer, list[str]()
     if out is not None:
         title = f"{recording.name} in {Path(name).stem}"
         with busy("Drawing"):
             written = write_results(out, localizer.prior_map, evaluation, title, kept)
     _show_all(evaluation, f"{recording.name} in {name}", json)
     if written and not json:
-        print(f"{out} has {', '.join(written)}")
+        print(f"{out}: {', '.join(written)}")
     with busy("Diagnosing failures"):
         line = hint(
             recording,
             evaluation.results,
             localizer.config.local_cloud,
             prior_map=localizer.prior_map,
-            known=_excluded(asked, evaluation.results),
+            known=_excluded(queries, evaluation.results),
         )
     if line:
         note(line)
 
 
 def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:
-    """Each answer, and of several a summary."""
+    """Print each result, and a summary of several."""
     from .results import print_json
 
     if json:
@@ -247,7 +245,7 @@ def _show_all(evaluation: Evaluation, title: str, json: bool) -> None:
 def _positions(
     recording: Scans, truths: Float64 | None, every: float | None, max_gap_m: float
 ) -> Int64:
-    """Positions of the queries; with a truth those whose true pose is known."""
+    """Return the positions of the queries; with --truth only those with a true pose."""
     import numpy as np
 
     from ..batch.run import query_positions
@@ -269,7 +267,7 @@ def _positions(
 
 
 def show(summary: dict[str, Any], title: str) -> None:
-    """Print a summary as one table."""
+    """Print a summary as a table."""
     from .console import number, table
     from .results import error_rows
 
@@ -283,12 +281,12 @@ def show(summary: dict[str, Any], title: str) -> None:
         rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
     rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
-    rows.append(("time of a query, median", number(summary["ms"]["total"], "ms", 1)))
+    rows.append(("time per query, median", number(summary["ms"]["total"], "ms", 1)))
     table(title, ("", ""), rows)
 
 
 def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
-    """Reasons without the numbers in their brackets, the commonest first."""
+    """Count reasons without the numbers in brackets, the most frequent first."""
     counts: dict[str, int] = {}
     for reason, count in reasons.items():
         name = reason.split(" (")[0]
@@ -297,7 +295,7 @@ def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
 
 
 def pose_text(T: Pose) -> str:
-    """Position and heading, with units."""
+    """Format position and heading with units."""
     from .. import geometry
 
     x, y, z = (float(v) for v in T[:3, 3])
@@ -306,7 +304,7 @@ def pose_text(T: Pose) -> str:
 
 
 def sentence(result: Localization) -> str:
-    """Describe the answer to a query in one line."""
+    """Describe the result of a query in one line."""
     agree = counted(result.inliers, "segments", "agree")
     measured = f"{agree}, {result.overlap:.0%} of the cloud lies on the map"
     if result.proposer not in (None, "segments"):
@@ -318,7 +316,7 @@ def sentence(result: Localization) -> str:
 
 
 def show_answers(evaluation: Evaluation, title: str) -> None:
-    """Print the answer to one query as a line, to several as a table with the worst first."""
+    """Print the result of one query as a line, of several as a table with the worst first."""
     from .console import table
 
     if len(evaluation) == 1:
@@ -334,8 +332,8 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
 def worst_first(evaluation: Evaluation) -> Sequence[int]:
     """Order queries: false ones, those not localized, then the localized ones.
 
-    False ones come by falling confidence, the others by rising confidence. Equal ones, to the
-    digits that are shown, keep their order.
+    False ones are sorted by falling confidence, the others by rising confidence; ties, as
+    displayed, keep their order.
     """
     results, false = evaluation.results, evaluation.false
 
@@ -350,10 +348,10 @@ def worst_first(evaluation: Evaluation) -> Sequence[int]:
 
 def _row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
     result = evaluation.results[i]
-    said = result.message if not result.localized else pose_text(result.T_map_sensor)
+    text = result.message if not result.localized else pose_text(result.T_map_sensor)
     if evaluation.false[i]:
-        said = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {said}"
-    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", said
+        text = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {text}"
+    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", text
 
 
 def gnss_priors(
@@ -369,7 +367,7 @@ def gnss_priors(
     Raises
     ------
     ConfigError
-        If the map has no georeference, or a prior is given already.
+        If the map has no georeference, or there is also a prior.
     """
     from ..batch.run import gnss_priors
     from ..datasets.fixes import read_fixes
@@ -381,19 +379,17 @@ def gnss_priors(
     if near is not None:
         raise ConfigError("--gnss and --near exclude each other")
     if georeference is None:
-        raise ConfigError(
-            "--gnss needs a map that says where it lies: build it with --epsg and --origin"
-        )
+        raise ConfigError("--gnss needs a georeferenced map: build it with --epsg and --origin")
     fixes = read_fixes(path)
     stamps = None if recording.stamps is None else recording.stamps[positions]
     priors = gnss_priors(fixes, georeference, stamps, radius)
     count = sum(prior is not None for prior in priors)
-    note(f"{fixes.source}: fixes for {count} of {len(priors)} queries; others are searched for")
+    note(f"{fixes.source}: fixes for {count} of {len(priors)} queries; others search everywhere")
     return priors
 
 
 def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
-    """Tell where the first query that a prior excludes is found without the prior."""
+    """Describe where the first query that a prior excludes is found without the prior."""
     from ..batch.run import each_prior, query_clouds
     from ..localization import Reason
 

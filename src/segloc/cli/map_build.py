@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
-    """The configuration with what the options say of the map."""
+    """Return the configuration with the options of the map."""
     mapping = config.mapping.smallest() if compact else config.mapping
     mapping = mapping.model_copy(update={"level": level or mapping.level})
     return config.model_copy(update={"mapping": mapping})
@@ -72,13 +72,13 @@ def build(
     workers: Workers = 1,
     cluster: Cluster = None,
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Build the map even if scans and poses do not fit.")
+        bool, typer.Option("--unchecked", help="Build the map even if scans and poses mismatch.")
     ] = False,
 ) -> None:
     """Build a map from recordings with poses.
 
-    Several are mapped one by one, here or by --workers or on a --cluster, and then merged.
-    What `segloc doctor` finds wrong with scans or poses is refused: the map would be smeared.
+    Several are mapped one by one, here or by --workers or on a --cluster, and then merged. Scans
+    or poses with problems (see `segloc doctor`) are rejected: they would smear the map.
     """
     from ..system.files import checked_target
 
@@ -134,8 +134,8 @@ def _build(
     show(prior_map, str(out))
     if (frame := prior_map.metadata.get("frame")) and not settings.mapping.level:
         note(
-            f"the map's frame is {frame}, and scans that are levelled by themselves fit it badly; "
-            "--level builds it level"
+            f"the map's frame is {frame}, so levelled single scans fit it badly; --level builds a "
+            "level map"
         )
 
 
@@ -155,14 +155,14 @@ def _opened(
     odometry: bool,
     settings: Config,
 ) -> Sequence:
-    """A recording that a map can be built of."""
+    """Open a recording with poses."""
     from ..errors import DatasetError
     from ..io.clouds import is_cloud
     from .recording import open_recording
 
     if path.is_file() and is_cloud(path):
         raise DatasetError(
-            f"{path}: is one point cloud, not a recording with poses: use `segloc map from-cloud`"
+            f"{path}: a point cloud, not a recording with poses: use `segloc map from-cloud`"
         )
     mount = settings.local_cloud.mount
     recording = open_recording(
@@ -170,7 +170,7 @@ def _opened(
     )
     if recording.poses is None:
         raise DatasetError(
-            f"{path}: a map needs a pose for every scan: name a file by --poses, or use --odometry"
+            f"{path}: a map needs a pose for every scan: pass --poses FILE, or use --odometry"
         )
     return recording
 
@@ -179,6 +179,6 @@ def _check_level(sequences: list[Path], settings: Config, georeferenced: bool) -
     from ..errors import ConfigError
 
     if settings.mapping.level and len(sequences) > 1:
-        raise ConfigError("--level turns each recording by itself, and several share a frame")
+        raise ConfigError("--level applies to one recording; several must share a level frame")
     if settings.mapping.level and georeferenced:
-        raise ConfigError("--level turns the frame, which then is not that of --epsg any more")
+        raise ConfigError("--level changes the frame, so --epsg does not apply: omit one")

@@ -29,7 +29,7 @@ def from_cloud(
     ] = None,
     sensor_height: Annotated[
         float,
-        typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints over ground."),
+        typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints above ground."),
     ] = 1.0,
     epsg: Epsg = None,
     method: Method = None,
@@ -70,4 +70,4 @@ def from_cloud(
         prior_map.save(out)
     show(prior_map, str(out))
     if frame := prior_map.metadata.get("frame"):
-        note(f"the cloud's frame is {frame}: turn the cloud level for good results")
+        note(f"the cloud's frame is {frame}: level the cloud for good results")

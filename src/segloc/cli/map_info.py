@@ -12,14 +12,14 @@ from ..system.text import counted
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
 
-_MOST_TEXT = 200
+_MAX_TEXT = 200
 
 
 def info(
     path: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show what a map holds, and check the file for damage."""
+    """Show the contents of a map, and check the file for damage."""
     from ..map.segment_map import SegmentMap
 
     prior_map = SegmentMap.load(path)
@@ -32,7 +32,7 @@ def info(
 
 
 def show(prior_map: SegmentMap, title: str) -> None:
-    """Print a table of what a map holds."""
+    """Print a table of a map's contents."""
     from ..map.georeference import Georeference
     from .console import table
 
@@ -43,15 +43,15 @@ def show(prior_map: SegmentMap, title: str) -> None:
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
         ("segments", f"{facts['segments']}"),
         ("poses", f"{facts['poses']} in {sessions}"),
-        ("cloud", f"{facts['cloud_points']} points, one in {facts['cloud_voxel_m']:g} m"),
+        ("cloud", f"{facts['cloud_points']} points, one per {facts['cloud_voxel_m']:g} m"),
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
     ]
     if "cloud" in prior_map.metadata.get("source", ""):
         spacing = prior_map.metadata.get("cloud_spacing_m", "unknown")
-        rows.append(("made from", f"a cloud, points {spacing[:_MOST_TEXT]} m apart"))
+        rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
     if frame := prior_map.metadata.get("frame"):
-        rows.append(("frame", frame[:_MOST_TEXT]))
+        rows.append(("frame", frame[:_MAX_TEXT]))
     if (where := Georeference.of(prior_map.metadata)) is not None:
-        rows.append(("on the globe", str(where)))
+        rows.append(("georeference", str(where)))
     table(title, ("", ""), rows)

@@ -18,13 +18,14 @@ def merge(
         list[str], typer.Argument(metavar="MAP", help="Two or more; the first may be tiles.")
     ],
     out: Annotated[
-        str, typer.Option(metavar="MAP", help="The file to write; tiles change where they lie.")
+        str, typer.Option(metavar="MAP", help="Map to write; tiles are changed in place.")
     ],
     elsewhere: Elsewhere = False,
 ) -> None:
-    """Merge maps of one place that share their frame; what they have in common is kept once.
+    """Merge maps of one place that share their frame; common content is kept once.
 
-    Into tiles the others are merged one by one; of these, only those that they reach are written.
+    If the first map is tiles, the others are merged into them one by one; only tiles within their
+    reach are written.
     """
     from ..config import map_config
     from ..errors import ConfigError
@@ -36,7 +37,7 @@ def merge(
     from .results import writing
 
     if len(maps) < 2:
-        raise ConfigError("merging needs two maps or more")
+        raise ConfigError("merging needs at least two maps")
     if holds_tiles(maps[0]):
         _into_tiles(maps[0], [Path(path) for path in maps[1:]], out, elsewhere)
         return
@@ -65,7 +66,7 @@ def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool) -> Non
 
 
 def _merged(maps: list[SegmentMap], paths: list[Path], elsewhere: bool) -> SegmentMap:
-    """The union, joined in an order in which each meets what was joined before, if there is one."""
+    """Merge maps in an order in which each meets an earlier one, if possible."""
     from ..errors import MapMismatch
     from ..map.same_place import check_same_place, meets
 

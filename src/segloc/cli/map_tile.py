@@ -21,9 +21,9 @@ def tile(
         float, typer.Option(metavar="METRES", help="Overlap of a tile with its neighbours.")
     ] = 60.0,
 ) -> None:
-    """Cut a map into overlapping tiles with an index, for maps too large to hold at once.
+    """Cut a map into overlapping tiles with an index, for maps too large for memory.
 
-    `segloc localize --map DIR_OR_URL` opens the tiles that it needs.
+    `segloc localize --map DIR_OR_URL` opens the required tiles.
     """
     from ..map.segment_map import SegmentMap
     from ..tiles import cut_tiles
@@ -35,7 +35,7 @@ def tile(
     megabytes = sum(each.bytes for each in index.tiles) / 1e6
     rows = [
         ("tiles", f"{len(index.tiles)}, {index.size_m:g} m wide, {index.margin_m:g} m around"),
-        ("their files", f"{megabytes:.1f} MB"),
+        ("size of files", f"{megabytes:.1f} MB"),
         ("segments", f"{sum(each.segments for each in index.tiles)}"),
         ("thin map of all", f"{index.coarse.segments} segments, {index.coarse.bytes / 1e6:.1f} MB"),
     ]

@@ -37,17 +37,17 @@ PosesInMap = Annotated[
     ),
 ]
 Align = Annotated[
-    bool, typer.Option("--align", help="First bring the session's odometry into the map.")
+    bool, typer.Option("--align", help="First align the session's odometry to the map.")
 ]
 
 
 def update(
     prior_map: Annotated[
-        str, typer.Argument(metavar="MAP", help="The map: a file, or the place of tiles.")
+        str, typer.Argument(metavar="MAP", help="The map: a file, or a folder or URL of tiles.")
     ],
     sequence: Recording,
     out: Annotated[
-        str, typer.Option(metavar="MAP", help="The file to write; tiles change where they lie.")
+        str, typer.Option(metavar="MAP", help="Map to write; tiles are changed in place.")
     ],
     poses: PosesInMap = None,
     align: Align = False,
@@ -56,14 +56,14 @@ def update(
     max_missed: Annotated[
         int,
         typer.Option(
-            min=1, metavar="COUNT", help="Sessions in a row that must pass through what is removed."
+            min=1, metavar="COUNT", help="Sessions in a row that must miss an object to remove it."
         ),
     ] = 2,
     max_views: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Newest views of an object; 0: all.")
     ] = 0,
     max_segments: Annotated[
-        int, typer.Option(min=0, metavar="COUNT", help="Of the map at most; 0: any.")
+        int, typer.Option(min=0, metavar="COUNT", help="Maximum size of the map; 0: unlimited.")
     ] = 0,
     elsewhere: Elsewhere = False,
     topic: Topic = None,
@@ -72,18 +72,18 @@ def update(
     weights: Weights = None,
     threads: Threads = 0,
 ) -> None:
-    """Add a session to a map, and remove what is no longer there.
+    """Add a session to a map, and remove objects that are gone.
 
-    An object that the session's rays passed through is remembered as missed; what was not in view
-    stays. Of tiles only those are read and written that the session reaches. A session whose poses
-    are odometry in a frame of its own is brought into the map by --align, or refused.
+    Objects that the session's rays pass through are counted as missed; those out of view stay. Only
+    tiles within the session's reach are read and written. A session with odometry in its own frame
+    is aligned to the map by --align, or rejected.
     """
     from ..map.update import UpdateConfig
     from ..tiles import holds_tiles
     from .console import table
 
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    asked = _Asked(
+    session = _SessionInput(
         sequence=sequence,
         poses=poses,
         align=align,
@@ -97,15 +97,15 @@ def update(
         elsewhere=elsewhere,
     )
     if holds_tiles(prior_map):
-        rows = asked.into_tiles(prior_map, out, settings)
+        rows = session.into_tiles(prior_map, out, settings)
     else:
-        rows = asked.into_map(Path(prior_map), Path(out), settings)
+        rows = session.into_map(Path(prior_map), Path(out), settings)
     table(out, ("", ""), rows)
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A session, and how it is read."""
+class _SessionInput:
+    """A session, and the options for reading it."""
 
     sequence: Path
     poses: Path | None
@@ -125,11 +125,11 @@ class _Asked:
         if self.poses is None and not self.align:
             raise ConfigError(
                 "an update needs poses in the frame of the map: --poses FILE, or --align, which "
-                "brings the session's own there"
+                "aligns the session's own"
             )
 
     def _opened(self, where: SegmentMap | TiledMap) -> tuple[Config, Scans]:
-        """The settings by which a map was built, and the session in its frame."""
+        """Return the settings of a map, and the session in its frame."""
         from ..loops import Reposed, align_to_map
         from ..map.segment_map import SegmentMap
         from .align import told
@@ -155,7 +155,7 @@ class _Asked:
         return chosen, Reposed(recording, alignment.poses[0])
 
     def into_map(self, prior_map: Path, out: Path, settings: UpdateConfig) -> list[tuple[str, str]]:
-        """Update a map file, and say what was done."""
+        """Update a map file; return rows on what was done."""
         from ..map.segment_map import SegmentMap
         from ..map.update import update_map
         from .console import progress
@@ -164,31 +164,31 @@ class _Asked:
         with writing(out):
             prior = SegmentMap.load(prior_map)
             chosen, recording = self._opened(prior)
-            with progress("Looking at the map") as bar:
+            with progress("Updating the map") as bar:
                 updated, counts = update_map(
                     prior, recording, chosen, settings, bar, elsewhere=self.elsewhere
                 )
             updated.save(out)
         now = ("segments now", str(len(updated)))
-        return [("segments before", str(len(prior))), *_told(counts), now]
+        return [("segments before", str(len(prior))), *_rows(counts), now]
 
     def into_tiles(self, where: str, out: str, settings: UpdateConfig) -> list[tuple[str, str]]:
-        """Update tiles where they lie, and say what was done."""
+        """Update tiles in place; return rows on what was done."""
         from ..tiles import TiledMap, update_tiles
         from .console import progress
 
         check_same_tiles(where, out)
         chosen, recording = self._opened(TiledMap(where))
-        with progress("Looking at the tiles") as bar:
+        with progress("Updating the tiles") as bar:
             changed, counts = update_tiles(
                 where, recording, chosen, settings, bar, elsewhere=self.elsewhere
             )
         tiles = f"{changed.written} of {len(changed.index.tiles)}"
-        return [("tiles that changed", tiles), *_told(counts)]
+        return [("tiles that changed", tiles), *_rows(counts)]
 
 
 def check_same_tiles(where: str, out: str) -> None:
-    """Refuse to write tiles elsewhere than they lie.
+    """Reject another output than the tiles themselves.
 
     Raises
     ------
@@ -197,10 +197,10 @@ def check_same_tiles(where: str, out: str) -> None:
     from ..errors import ConfigError
 
     if where.rstrip("/") != out.rstrip("/"):
-        raise ConfigError(f"tiles change where they lie: --out {where}, or copy them first")
+        raise ConfigError(f"tiles are changed in place: use --out {where}, or copy them first")
 
 
-def _told(counts: UpdateCounts) -> list[tuple[str, str]]:
+def _rows(counts: UpdateCounts) -> list[tuple[str, str]]:
     return [
         ("  seen again", str(counts.seen)),
         ("  missed", str(counts.aged)),

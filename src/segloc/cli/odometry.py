@@ -15,15 +15,15 @@ def odometry(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="POSES.tum", help="File of the poses.", show_default="beside the recording"
+            metavar="POSES.tum", help="Output file of poses.", show_default="beside the recording"
         ),
     ] = None,
     select: Select = None,
     topic: Topic = None,
 ) -> None:
-    """Compute the poses of a recording from its scans alone, by KISS-ICP.
+    """Compute the poses of a recording from its scans, by KISS-ICP.
 
-    `--odometry` of other verbs takes the file beside a recording only where it holds all scans.
+    `--odometry` of other verbs uses the file beside a recording if it covers all scans.
     """
     from typing import cast
 

@@ -1,4 +1,4 @@
-"""Arguments that several verbs share."""
+"""Arguments and options shared by several verbs."""
 
 from __future__ import annotations
 
@@ -32,13 +32,11 @@ Topic = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Topic, sensor or scene, where there are several.",
+        help="Topic, sensor or scene, if there are several.",
         show_default="the only one",
     ),
 ]
-Deskew = Annotated[
-    bool, typer.Option(help="Undo the motion during a scan, where points have times.")
-]
+Deskew = Annotated[bool, typer.Option(help="De-skew scans whose points have times.")]
 Odometry = Annotated[
     bool, typer.Option("--odometry", help="Compute poses from the scans (`segloc odometry`).")
 ]
@@ -114,7 +112,7 @@ Weights = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Trained weights, in place of the shipped ones.",
+        help="Trained weights, instead of the shipped ones.",
         show_default="the shipped ones",
     ),
 ]
@@ -143,7 +141,7 @@ Epsg = Annotated[
         min=1,
         metavar="CODE",
         help="EPSG code of the map's projected frame.",
-        show_default="not said",
+        show_default="none",
     ),
 ]
 Origin = Annotated[
@@ -156,7 +154,7 @@ Truth = Annotated[
     typer.Option(
         metavar="FILE",
         help="True poses in the map's frame, to score against.",
-        show_default="not known",
+        show_default="unknown",
     ),
 ]
 Metres = Annotated[
@@ -168,7 +166,7 @@ Degrees = Annotated[
 
 
 def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | None:
-    """The prior of --near and --radius."""
+    """Parse the prior of --near and --radius."""
     from ..prior import Prior
 
     if near is None:
@@ -187,25 +185,25 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
 
 
 def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | None:
-    """The georeference of --epsg and --origin."""
+    """Parse the georeference of --epsg and --origin."""
     from ..map.georeference import Georeference
 
     if epsg is None:
         if origin is not None:
-            raise ConfigError("--origin needs --epsg, which says in which frame it is")
+            raise ConfigError("--origin needs --epsg, the code of its frame")
         return None
     try:
         east, north, *up = [float(part) for part in (origin or "0,0,0").split(",")]
         (height,) = up or [0.0]
     except ValueError as error:
-        raise ConfigError(f"--origin is E,N or E,N,H in metres, not {origin!r:.60}") from error
+        raise ConfigError(f"--origin expects E,N or E,N,H in metres, not {origin!r:.60}") from error
     return Georeference(epsg, (east, north, height))
 
 
 def load_config(
     path: Path | None, method: str | None, threads: int, weights: Path | None = None
 ) -> Config:
-    """The configuration of a verb: file and preset, and what is given beside it."""
+    """Return the configuration of a verb: file, preset, and options."""
     from ..config import Config
 
     return _with(Config.load(path, method), threads, weights)
@@ -214,14 +212,13 @@ def load_config(
 def map_settings(
     prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
 ) -> Config:
-    """The configuration in a file, or else the one that a map was built with."""
+    """Return the configuration in a file, or else the map's own."""
     from ..config import Config, map_config
 
     config = map_config(prior_map) if path is None else Config.load(path, prior_map.descriptor)
     if weights is None and config.weights is not None and not config.weights.exists():
         raise ConfigError(
-            f"the weights that the map was built with are not at {config.weights}: "
-            "name the file by --weights"
+            f"the map's weights are missing at {config.weights}: pass the file with --weights"
         )
     return _with(config, threads, weights)
 
@@ -229,9 +226,9 @@ def map_settings(
 def open_localizer(
     prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
 ) -> Localizer:
-    """A localizer in a map, by the configuration in a file or else by the map's own.
+    """Create a localizer in a map, configured by a file or else by the map.
 
-    What is worth saying of the configuration is said.
+    Notes on the configuration are printed.
     """
     from ..localizer import Localizer
     from .console import note
@@ -245,7 +242,7 @@ def open_localizer(
 def opened_map(
     where: str, path: Path | None, threads: int, weights: Path | None = None
 ) -> tuple[Localizer, SegmentMap, str]:
-    """A localizer in a map file or in tiles, the map (of tiles the thin one), and its name."""
+    """Return a localizer in a map file or tiles, the map (of tiles the thin one), and its name."""
     from ..localizer import Localizer
     from ..map.segment_map import SegmentMap
     from ..tiles import TiledMap, holds_tiles
@@ -276,12 +273,12 @@ def check_every(every: float | None) -> None:
 
 
 def each(values: list[Value] | None, count: int, option: str) -> list[Value] | list[None]:
-    """One value for each of ``count`` sequences, from none, one, or as many.
+    """Return one value for each of ``count`` sequences, from none, one, or as many.
 
     Raises
     ------
     ConfigError
-        If there are any other number.
+        If the number differs.
     """
     if not values:
         return [None] * count

@@ -1,4 +1,4 @@
-"""How verbs open a recording: its notes are shown, and odometry is run where it is wanted."""
+"""Open recordings for verbs: print notes, and run odometry on request."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def open_recording(
 ) -> Sequence:
     """Open a recording as :func:`~segloc.datasets.open_sequence` does.
 
-    With ``odometry`` its poses are those of the odometry file beside it, which is written where
-    there is none yet. They are the sensor's; others are those of its base if ``mount`` says so.
+    With ``odometry`` its poses are read from the odometry file beside it, which is computed if
+    missing. These are the sensor's; other poses are the base's if ``mount`` is set.
     """
     from ..datasets import open_sequence
     from ..errors import ConfigError
@@ -49,7 +49,7 @@ def true_poses(
     topic: str | None,
     T_base_sensor: Pose | None = None,
 ) -> Float64 | None:
-    """True poses of a recording's scans, NaN where unknown, which is noted; None without a file."""
+    """Read true poses of a recording's scans, NaN where unknown; None without a file."""
     import numpy as np
 
     from ..datasets import poses_at
@@ -64,12 +64,12 @@ def true_poses(
 
 
 def place_of_sensor(mount: MountConfig | None) -> Pose | None:
-    """T_base_sensor where poses in files are those of the base."""
+    """Return T_base_sensor if poses in files are those of the base."""
     return mount.T_base_sensor if mount is not None and mount.poses_of_base else None
 
 
 def odometry_of(path: Path, topic: str | None = None) -> Path:
-    """The file with the recording's odometry, computed where it is not kept yet."""
+    """Return the file with the recording's odometry, computed if missing."""
     from typing import cast
 
     from ..datasets import NO_POSES, RecordedSequence, open_sequence
@@ -88,36 +88,36 @@ def odometry_of(path: Path, topic: str | None = None) -> Path:
 
 
 def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> None:
-    """Refuse a recording of which a map would be smeared; what is only a little off is said.
+    """Reject a recording that would smear a map; note smaller faults.
 
     Raises
     ------
     DatasetError
-        With what is wrong and what mends it.
+        With the fault and its remedy.
     """
     from ..doctor import Fault, first_fault
     from ..errors import DatasetError
     from .console import busy, note
 
-    with busy("Looking whether scans and poses fit"):
+    with busy("Checking scans against poses"):
         finding = first_fault(recording, config)
     if finding is None or not finding.wrong:
         return
     if finding.fault in (Fault.POSES_OFF, Fault.ONLY_GROUND):
         note(str(finding))
         return
-    raise DatasetError(f"{path}: {finding}; --unchecked builds the map all the same")
+    raise DatasetError(f"{path}: {finding}; --unchecked builds the map anyway")
 
 
 def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) -> Recording:
-    """The recording with its poses levelled where that is wanted; otherwise what it needs is said.
+    """Return the recording with levelled poses if requested; otherwise note a tilted frame.
 
     Raises
     ------
     ConfigError
-        If there are no poses to be levelled.
+        If there are no poses to level.
     DatasetError
-        If they are to be levelled, and the scans show too few walls to tell what is up.
+        If levelling is requested, and the scans show too few walls.
     """
     from ..errors import ConfigError, DatasetError
     from ..frontend.tilt import frame_lean, levelled
@@ -125,20 +125,20 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
 
     if recording.poses is None:
         if level:
-            raise ConfigError("--level needs poses: scans without are levelled one by one")
+            raise ConfigError("--level needs poses: scans without poses are levelled one by one")
         return recording
     if level:
-        with busy("Looking whether the frame is level"):
+        with busy("Checking whether the frame is level"):
             lean = frame_lean(recording, config)
         turned, _ = levelled(recording, lean)
         if lean is not None:
             note(f"poses turned by {lean.tilt_deg:.1f} degrees about the first, so that z is up")
         return turned
     try:
-        with busy("Looking whether the frame is level"):
+        with busy("Checking whether the frame is level"):
             lean = frame_lean(recording, config)
     except DatasetError:
-        return recording  # a scan that is perhaps not asked for
+        return recording  # an unreadable scan may not be selected later
     if lean is not None and lean.noticed:
-        note(f"the poses' z axis is {lean.tilt_deg:.1f} degrees off vertical: --level turns them")
+        note(f"the poses' z axis is {lean.tilt_deg:.1f} degrees off vertical: --level corrects it")
     return recording

@@ -1,4 +1,4 @@
-"""Write the files of a verb: result folders, complete or not at all, and maps under a lock."""
+"""Write output folders atomically, and maps under a lock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def check_folder(out: Path) -> None:
-    """Refuse, before the work, a folder that cannot be made."""
+    """Reject a folder that cannot be created, before the work starts."""
     nearest = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")
@@ -37,8 +37,8 @@ def write_results(
 ) -> list[str]:
     """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
 
-    Where the truth is known there is ``errors.png``, too. There is no picture without a title.
-    ``more`` are other files, by their names in the folder.
+    With true poses also ``errors.png``. There are no pictures without a title. ``more`` are other
+    files, by their names in the folder.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def write_results(
         try:
             files |= _pictures(prior_map, evaluation, title)
         except MissingDependency as error:
-            note(f"no trajectory.png: {error}")
+            note(f"trajectory.png not written: {error}")
     write_together(out, files)
     tops = (name.partition("/") for name in files)
     return list(dict.fromkeys(top + slash for top, slash, _ in tops))
@@ -67,7 +67,7 @@ def _pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict
 
 
 def print_json(evaluation: Evaluation) -> None:
-    """Print the answers and their summary as one object."""
+    """Print the results and their summary as one JSON object."""
     found = {"summary": evaluation.summary(), "queries": list(evaluation.records())}
     print(json.dumps(found, indent=2, allow_nan=False))
 
@@ -86,7 +86,7 @@ def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, b
 
 
 def tum_bytes(trajectory: Trajectory, remark: str) -> bytes:
-    """What a file of poses holds."""
+    """Return the content of a TUM file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "poses.tum"
         write_tum(path, trajectory, remark)
@@ -94,7 +94,7 @@ def tum_bytes(trajectory: Trajectory, remark: str) -> bytes:
 
 
 def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Rows of a table: how far off and how far turned the poses are."""
+    """Return table rows of position and rotation errors."""
     rows = []
     for kind, unit in (("translation", "m"), ("rotation", "deg")):
         spread = summary[f"{kind}_error_{unit}"]
@@ -104,13 +104,13 @@ def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:
-    """The localized poses by their times, or else by their numbers, and which of the two."""
+    """Return the localized poses by stamp, or else by number, with a remark on which."""
     stamps, timed = evaluation.indices.astype(np.float64), evaluation.stamps
     if timed is not None:
         stamps = timed
     stamps = stamps[evaluation.localized]
     order = np.argsort(stamps)
-    remark = "" if timed is not None else "no times: the first column holds the scans' numbers"
+    remark = "" if timed is not None else "no times: the first column is the scan number"
     return Trajectory(stamps[order], evaluation.positions_found()[order]), remark
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ..sample import SampleDrive
 
 TUESDAY_STEP = 2
-"""Every second scan of Tuesday is written: they are queried one by one, 9 m apart."""
+"""Every second scan of Tuesday is written: queries are single scans, 9 m apart."""
 
 _COMMANDS = """
 segloc doctor {out}/monday --poses poses.tum
@@ -23,14 +23,12 @@ segloc view {out}/site.segmap {out}/results
 
 
 def sample(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the sample.")] = Path(
-        "sample"
-    ),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")] = Path("sample"),
 ) -> None:
     """Write a small recording to map, and scans to localize in it (no download).
 
-    DIR/monday is a drive with an HDL-32E; DIR/tuesday are scans of another day by an OS1-64, in
-    autumn, with other cars, partly off monday's way; DIR/elsewhere.npy is a scan of another town.
+    DIR/monday is a drive with an HDL-32E. DIR/tuesday has scans of another day by an OS1-64, in
+    autumn, with other cars, partly off monday's route. DIR/elsewhere.npy is a scan of another town.
     """
     from ..io import write_scan
     from ..sample import load
@@ -40,12 +38,12 @@ def sample(
     monday = _write(load("monday"), out / "monday", 1)
     tuesday = _write(load("tuesday"), out / "tuesday", TUESDAY_STEP)
     write_scan(out / "elsewhere.npy", load("elsewhere").scan(0).points)
-    print(f"{out}: {monday} scans to map, {tuesday} to find in the map. Now:")
+    print(f"{out}: {monday} scans to map, {tuesday} to localize in the map. Next:")
     print(_COMMANDS.format(out=out), end="")
 
 
 def _write(drive: SampleDrive, folder: Path, step: int) -> int:
-    """Write every ``step``-th scan and its true pose by its number; return their count."""
+    """Write every ``step``-th scan and its true pose, by number; return their count."""
     from ..io import Trajectory, write_scan, write_tum
     from .console import progress
 

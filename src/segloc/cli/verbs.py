@@ -1,4 +1,4 @@
-"""All verbs, or the requested one alone; the others are not imported."""
+"""The verbs; only the requested one is imported."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ ORDER = (
     "export",
     "config",
 )
-"""Verbs in the order in which they are met; those of other distributions follow."""
+"""Verbs in order of use; those of other distributions follow."""
 
 LABORATORY = ("evaluate", "simulate", "train", "bench")
 """Verbs that ``segloc-lab`` adds."""
 
 MAPS = ("build", "from-cloud", "info", "merge", "update", "tile")
 VERSION = "--version"
-"""Needs no verb."""
+"""Option without a verb."""
 
 
 def first_sentence(text: str) -> str:
@@ -46,7 +46,7 @@ def first_sentence(text: str) -> str:
 
 
 class Listed(TyperGroup):
-    """Lists its verbs each with its whole first sentence."""
+    """List verbs with their complete first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         verbs = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
@@ -56,9 +56,9 @@ class Listed(TyperGroup):
 
 
 def group(text: str, cls: type[Listed] = Listed, **settings: Any) -> typer.Typer:
-    """A group of verbs; without any it shows its help.
+    """Create a group of verbs; without a verb it shows its help.
 
-    Help is plain text: the frames of ``rich`` take longer to import than all else together.
+    Help is plain text: importing ``rich`` for frames takes longer than everything else.
     """
     return typer.Typer(
         help=text,
@@ -71,7 +71,7 @@ def group(text: str, cls: type[Listed] = Listed, **settings: Any) -> typer.Typer
 
 
 class InOrder(Listed):
-    """Lists the verbs in the order of use."""
+    """List the verbs in order of use."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         known = [name for name in ORDER if name in self.commands]
@@ -80,12 +80,12 @@ class InOrder(Listed):
 
 @cache
 def program(verb: str | None = None) -> typer.Typer:
-    """The command line; of one verb of our own alone where that one is asked for.
+    """Create the command line, with a single verb if it is known.
 
     Parameters
     ----------
     verb : str, optional
-        A name that is no verb of ours takes all verbs; ``VERSION`` takes none.
+        Unknown names load all verbs; ``VERSION`` loads none.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def _add_plugins(app: typer.Typer) -> None:
     for plugin in entry_points(group="segloc.commands"):
         try:
             plugin.load()(app)
-        except Exception as error:  # whatever another package does must not end ours
+        except Exception as error:  # a faulty plugin must not end the program
             print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
     present = {command.name for command in app.registered_commands}
     present |= {inner.name for inner in app.registered_groups}

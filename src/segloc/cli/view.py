@@ -14,7 +14,7 @@ def view(
         Path | None,
         typer.Argument(
             metavar="RESULTS",
-            help="A folder of `segloc localize --out` or `segloc live --out`.",
+            help="Results folder of `segloc localize` or `segloc live`.",
             show_default="none",
         ),
     ] = None,
@@ -33,9 +33,9 @@ def view(
 ) -> None:
     """Show a map and the queries in it in the browser.
 
-    Queries that `segloc localize --debug` kept are shown with their cloud on the map, segments,
-    matches (those that agree are green), runner-up, and what the confidence is made of. The robot
-    of `segloc live` is followed while it runs.
+    Queries stored by `segloc localize --debug` are shown with their cloud on the map, segments,
+    matches (inliers are green), runner-up, and parts of the confidence. The robot of `segloc live`
+    is followed during a run.
     """
     from ..inspect import viewer
     from ..inspect.following import follows, read_moments
@@ -50,8 +50,8 @@ def view(
         prior = SegmentMap.load(prior_map)
         robot = results is not None and follows(results)
         queries = [] if results is None or robot else read_results(results)
-    if queries and not any(query.seen for query in queries):
-        note("only where queries were localized is known: `segloc localize --debug` keeps more")
+    if queries and not any(query.stages for query in queries):
+        note("only positions of queries are stored: `segloc localize --debug` stores their stages")
     if html is not None:
         with busy("Writing the page"):
             page = (
@@ -60,11 +60,11 @@ def view(
                 else viewer.html(prior, queries)
             )
             write_text(html, page)
-        print(f"{html} opens in a browser, from disk ({len(page) / 1e6:.1f} MB)")
+        print(f"{html}: open it in a browser, no server needed ({len(page) / 1e6:.1f} MB)")
         return
     if robot and results is not None:
         server = viewer.follow(prior, results, port)
     else:
         server = viewer.serve(prior, queries, port)
-    print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C ends it", flush=True)
+    print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C stops it", flush=True)
     server.sleep_forever()

@@ -19,7 +19,7 @@ from .swathes import Swathes as Swathes
 from .swathes import swathes as swathes
 
 NO_POSES = "none"
-"""In place of a pose file: leave out the poses that a recording comes with."""
+"""Value of ``poses`` that ignores a recording's own poses."""
 
 
 def open_sequence(
@@ -117,12 +117,12 @@ def poses_at(
     *,
     T_base_sensor: Pose | None = None,
 ) -> Float64:
-    """Other poses of a recording's scans, scan for scan: the true ones, to score against.
+    """Return reference poses of a recording's scans, to score against.
 
     Parameters
     ----------
     recording : Recording
-        Opened from ``path``, perhaps a selection of it.
+        Opened from ``path``; may be a selection.
     path, poses, topic, T_base_sensor
         As for :func:`open_sequence`.
 

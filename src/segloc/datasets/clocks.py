@@ -1,7 +1,7 @@
-"""Units of the numbers beside scans: stamps of files and poses, times of points.
+"""Recognise units of time: stamps of files and poses, times of points.
 
-A number may be that of a scan, or a time in seconds, milli-, micro- or nanoseconds; times of points
-may also be fractions of a turn. Sizes since 1970 and the spacing of the scans tell them apart.
+A number may be a scan number or a time in seconds, milli-, micro- or nanoseconds; times of points
+may also be fractions of a turn. The epoch and the spacing of the scans tell them apart.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import numpy as np
 
 from ..types import Float64, Scan
 
-_EPOCH_S = (1e9, 2.6e9)  # 2001 to 2052
+_EPOCH_S = (1e9, 2.6e9)  # 2001 to 2052, seconds since 1970
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _FACTORS = (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9)
 _SWEEP_S = (0.01, 0.25)
 """Durations of a scan at common rates, 4 to 100 Hz."""
 _USUAL_S = 0.2
-_LEAST_SHARE, _LEAST_OTHER, _MOST_SHARE = 0.02, 0.1, 1.5
-"""Of the time between scans that the points of one take."""
-_FRACTIONS = (0.9, 1.001)  # the largest of a turn
+_MIN_SHARE, _MIN_OTHER, _MAX_SHARE = 0.02, 0.1, 1.5
+"""Span of a scan's point times as a share of the scan period."""
+_FRACTIONS = (0.9, 1.001)  # largest time of a scan, if times are fractions of a turn
 _SAME_CLOCK_S = 1.0
 
 
 def epoch_unit(values: Float64) -> float | None:
-    """Seconds a unit of values (N,) that are times since 1970; None if they are something else."""
+    """Return the unit [s] of values (N,) that are times since 1970, or None."""
     return _since_1970(values, _UNITS)
 
 
@@ -39,7 +39,7 @@ def _since_1970(values: Float64, factors: Sequence[float]) -> float | None:
 
 
 def unit_beside(values: Float64, stamps: Float64) -> float | None:
-    """Seconds a unit of rising values (K,) that enclose some of the stamps (N,), seconds."""
+    """Return the unit [s] in which rising values (K,) enclose some stamps (N,) [s], or None."""
     for unit in _UNITS:
         low, high = values[0] * unit, values[-1] * unit
         if ((stamps >= low) & (stamps <= high)).any():
@@ -48,7 +48,7 @@ def unit_beside(values: Float64, stamps: Float64) -> float | None:
 
 
 def period_of(stamps: Float64) -> float | None:
-    """Median time between scans, seconds; None for fewer than two."""
+    """Return the median time between scans [s]; None for fewer than two."""
     steps = np.diff(stamps)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     return float(np.median(steps)) if len(steps) else None
@@ -56,15 +56,15 @@ def period_of(stamps: Float64) -> float | None:
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """Meaning of the times of points, and the way to seconds after the stamp."""
+    """Unit of point times, and how to convert them to seconds after the stamp."""
 
     factor: float = 1.0  # multiplies the times as read
-    since_1970: bool = False  # whether the stamp is then subtracted
-    known: bool = True  # false if the times have to be left out
-    note: str = ""  # one line if the times aren't what their type stands for
+    since_1970: bool = False  # True to subtract the stamp
+    known: bool = True  # False to drop the times
+    note: str = ""  # one line if the unit differs from what the field type implies
 
-    def applied(self, scan: Scan, stamp: float | None) -> Scan:
-        """The scan with times in seconds after its stamp, or without times."""
+    def apply(self, scan: Scan, stamp: float | None) -> Scan:
+        """Convert the times of a scan to seconds after its stamp, or drop them."""
         if scan.times is None:
             return scan
         if not self.known or (self.since_1970 and stamp is None):
@@ -76,10 +76,10 @@ class TimeUnit:
 
 
 def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) -> TimeUnit:
-    """Recognise the unit of points' times.
+    """Recognise the unit of point times.
 
-    samples: times of the points of some scans, seconds as their type has it, and the scan's stamp
-    period_s: time between scans, seconds
+    samples: times of the points of some scans, in seconds by their type, each with the scan's stamp
+    period_s: time between scans [s]
     """
     finite = [(times[np.isfinite(times)], stamp) for times, stamp in samples]
     finite = [(times, stamp) for times, stamp in finite if len(times) > 1]
@@ -91,7 +91,7 @@ def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) 
     span = float(np.median([np.ptp(times) for times, _ in finite]))
     if period_s is None or span == 0.0:
         return TimeUnit()
-    if np.abs(times).max() > 10.0 * max(span, period_s, _SAME_CLOCK_S) and span <= _MOST_SHARE:
+    if np.abs(times).max() > 10.0 * max(span, period_s, _SAME_CLOCK_S) and span <= _MAX_SHARE:
         return _refused(f"point times of {times.max():g} s are on another clock than the stamps")
     return _relative(float(times.min()), float(times.max()), span, period_s)
 
@@ -99,22 +99,22 @@ def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) 
 def _absolute(
     samples: Sequence[tuple[Float64, float]], factor: float, period_s: float | None
 ) -> TimeUnit:
-    """Of times since 1970."""
+    """Unit of times since 1970."""
     times = samples[0][0]
     if factor == 1.0 and (times == times.astype(np.float32)).all():
         return _refused("point times since 1970 are rounded to 128 s in float32")
     off = max(float(np.abs(times * factor - stamp).max()) for times, stamp in samples)
-    if off > max(_SAME_CLOCK_S, _MOST_SHARE * (period_s or 0.0)):
+    if off > max(_SAME_CLOCK_S, _MAX_SHARE * (period_s or 0.0)):
         return _refused(f"point times are {off:.3g} s off their scans' stamps")
     note = "" if factor == 1.0 else f"point times multiplied by {factor:g}: seconds since 1970"
     return TimeUnit(factor, since_1970=True, note=note)
 
 
 def _relative(low: float, high: float, span: float, period_s: float) -> TimeUnit:
-    """Of times after a stamp."""
-    told = f"point times span {span:.4g} s as read, scans are {period_s:.3g} s apart"
+    """Unit of times relative to the stamp."""
+    text = f"point times span {span:.4g} s as read, scans are {period_s:.3g} s apart"
     plausible = _SWEEP_S[0] <= span <= _SWEEP_S[1]
-    seconds = plausible or _LEAST_SHARE <= span / period_s <= _MOST_SHARE
+    seconds = plausible or _MIN_SHARE <= span / period_s <= _MAX_SHARE
     if low >= -1e-3 and _FRACTIONS[0] <= high <= _FRACTIONS[1]:
         if period_s <= _SWEEP_S[1]:
             note = f"point times run from 0 to 1: taken as fractions of a turn of {period_s:.3g} s"
@@ -128,9 +128,9 @@ def _relative(low: float, high: float, span: float, period_s: float) -> TimeUnit
         return TimeUnit()
     for factor in _FACTORS:
         shares = [span * factor / period for period in (period_s, min(period_s, _USUAL_S))]
-        if any(_LEAST_OTHER <= share <= _MOST_SHARE for share in shares):
-            return TimeUnit(factor, note=f"{told}: multiplied by {factor:g}")
-    return _refused(told)
+        if any(_MIN_OTHER <= share <= _MAX_SHARE for share in shares):
+            return TimeUnit(factor, note=f"{text}: multiplied by {factor:g}")
+    return _refused(text)
 
 
 def _refused(why: str) -> TimeUnit:

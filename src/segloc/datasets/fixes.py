@@ -1,4 +1,4 @@
-"""GNSS fixes of a bag: antenna positions as receivers report them."""
+"""GNSS fixes of a bag: antenna positions."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _NO_FIX, _UNKNOWN = -1, 0
 
 @dataclass(frozen=True)
 class Fixes:
-    """K fixes, in the order of time."""
+    """GNSS fixes in order of time."""
 
-    source: str  # the topic
-    stamps: Float64  # (K,) seconds, on the clock of the scans
-    degrees: Float64  # (K, 3) longitude, latitude (degrees), height above the WGS 84 ellipsoid (m)
+    source: str  # topic
+    stamps: Float64  # (K,) on the clock of the scans [s]
+    degrees: Float64  # (K, 3) longitude, latitude [deg], height above the WGS 84 ellipsoid [m]
     error_m: Float64  # (K,) standard deviation along the worse horizontal axis; NaN if unknown
 
     def __len__(self) -> int:
@@ -40,19 +40,19 @@ class Fixes:
 
 
 def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
-    """Read ``sensor_msgs/NavSatFix`` messages of a bag; those without a fix are left out.
+    """Read the ``sensor_msgs/NavSatFix`` messages of a bag that have a fix.
 
     Parameters
     ----------
     path : path
         A bag.
     topic : str, optional
-        By default the one with the most messages.
+        Topic; by default the one with the most messages.
 
     Raises
     ------
     DatasetError
-        If it is no bag, or has no fixes.
+        If the path is not a bag, or has no fixes.
     MissingDependency
         If the package rosbags is not installed.
     """
@@ -60,14 +60,12 @@ def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
 
     paths = bag_paths(Path(path))
     if not paths:
-        raise DatasetError(f"{path}: no bag, so no GNSS fixes (sensor_msgs/NavSatFix)")
+        raise DatasetError(f"{path}: not a bag; GNSS fixes are read from bags")
     with opened(paths) as reader:
         topics = fullest_topics(reader, _FIX)
         if not topics or (topic is not None and topic not in topics):
             listed = ", ".join(topics) or "none"
-            raise DatasetError(
-                f"{paths[0]}: no topic of GNSS fixes {topic or ''}: there is {listed}"
-            )
+            raise DatasetError(f"{paths[0]}: no NavSatFix topic {topic or ''}; available: {listed}")
         chosen = topic or topics[0]
         messages = ((message, 1e-9 * logged) for message, logged in messages_of(reader, chosen))
         fixes = Fixes.of(chosen, messages)

@@ -1,4 +1,4 @@
-"""The formats that recordings come in, and which of them is at a path."""
+"""Formats of recordings, and the detection of the format at a path."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from .ros import bags
 
 
 class Format(Protocol):
-    """What each module of a format offers."""
+    """Reader of one format."""
 
     NAME: str
-    # where scans lie inside a recording: a path to there means the recording
+    # folders of scans inside a recording; a path to one means the recording
     INNER: tuple[str, ...]
 
     @staticmethod
@@ -39,14 +39,14 @@ _MODULES = (
     ouster, velodyne,
 )  # fmt: skip
 FORMATS = tuple(cast(Format, module) for module in _MODULES)
-"""The first that recognises a path reads it."""
+"""In order of precedence."""
 
 
 def identify(path: Path) -> tuple[Format, Path, str | None] | None:
-    """The format at a path, the recording's own path, and the sensor that the path names, if any.
+    """Return the format at a path, the recording's root, and the sensor named by the path.
 
-    None for a path of no known format: a plain folder of scans. The folder of a recording's scans
-    stands for the recording: its files read as a plain folder's could be taken for others.
+    Return None for an unknown format, such as a plain folder of scans. A path to the scan folder
+    of a recording means the recording.
     """
     for known in FORMATS:
         if known.recognises(path):

@@ -1,4 +1,4 @@
-"""What is in a recording, and what is wrong with it."""
+"""Summarise a recording and list its problems."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from .signature import Signature, signature
 from .tracks import LONGEST_GAP_S, Track
 
 UNUSABLE = f"not finite or beyond {MOST_METRES:.0e} m"
-_FASTEST_M_S = 60.0
-_ODD_SIZE = 3.0  # times more or fewer points than the median
-_SUBSTANTIAL = 0.05
-_FEWEST_POINTS = 1000  # that tell a sensor from another
-_MOST_CHANGES = 3  # of the sensor that are listed
+_MAX_SPEED_M_S = 60.0
+_SIZE_RATIO = 3.0  # scans larger or smaller than the median by this are reported
+_MAX_DROPPED = 0.05  # share of unusable points above which a scan is reported
+_MIN_POINTS = 1000  # needed to recognise a sensor
+_MAX_CHANGES = 3  # sensor changes listed
 _OTHER_SENSOR = "another sensor from here on"
 
 
 class Inspectable(Protocol):
-    """What sequences offer to be inspected by."""
+    """Recording that :func:`inspect` accepts."""
 
     format: str
     frame: str
@@ -52,24 +52,24 @@ class Inspectable(Protocol):
 class Inspection:
     """Facts about a recording."""
 
-    sensor: str  # a guess from the points: "16 beams, -15.0 to 15.0 deg", ...
-    sampled: int  # how many scans were read
-    points: int  # median of their sizes
-    dropped: float  # share of points that are not finite or beyond ``MOST_METRES``, in [0, 1]
+    sensor: str  # guessed from the points: "16 beams, -15.0 to 15.0 deg", ...
+    sampled: int  # number of scans read
+    points: int  # median per scan
+    dropped: float  # share of points not finite or beyond ``MOST_METRES``, in [0, 1]
     missing_returns: float  # share of points that stand for firings without a return, in [0, 1]
-    rate_hz: float | None  # median, where scans have stamps
+    rate_hz: float | None  # median; None without stamps
     duration_s: float | None
-    length_m: float | None  # of the way, where there are poses
-    poses: str  # where they come from, or "none"
-    timed: bool  # whether points have times
+    length_m: float | None  # trajectory length; None without poses
+    poses: str  # source of the poses, or "none"
+    timed: bool  # True if points have times
     problems: tuple[str, ...]  # one line each
-    sensor_changes: tuple[str, ...]  # likewise, where scans begin to be of another sensor
+    sensor_changes: tuple[str, ...]  # one line each: scans at which the sensor changes
 
 
 def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
-    """Look at stamps, poses, and ``sample`` scans spread over the recording.
+    """Inspect stamps, poses, and ``sample`` scans spread over the recording.
 
-    Scans that cannot be read are among the problems, not raised.
+    Unreadable scans are listed as problems, not raised.
     """
     problems = list(recording.notes)
     scans: list[tuple[int, Scan]] = []
@@ -113,29 +113,29 @@ def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> lis
     problems = []
     median = float(np.median([len(scan) for _, scan in scans])) if scans else 0.0
     if scans and not any(len(scan) for _, scan in scans):
-        return [f"no point in any of the {len(scans)} scans that were read"]
+        return [f"no points in any of the {len(scans)} scans read"]
     for i, scan in scans:
         where = recording.where(i)
         if _broken(scan):
             whole = len(scan) + scan.dropped
             problems.append(f"{where}: {scan.dropped} of {whole} points are {UNUSABLE}")
         elif not _within(len(scan), median):
-            problems.append(f"{where}: {len(scan)} points, where others have {median:.0f}")
+            problems.append(f"{where}: {len(scan)} points, the median is {median:.0f}")
         if scan.times is not None and len(scan) and not times_fit(scan):
             problems.append(f"{where}: times are not seconds after the stamp: not de-skewed")
     return problems
 
 
 def _sensor(scans: list[tuple[int, Scan]]) -> str:
-    """What the largest scan was measured by."""
+    """Describe the sensor of the largest scan."""
     largest = max((scan for _, scan in scans), key=len, default=None)
     found = None if largest is None else signature(largest.points)
     return "unknown" if found is None else str(found)
 
 
 def _sensor_changes(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
-    """Where scans begin to be of another sensor: between those of the sample it is searched for."""
-    whole = [(i, scan) for i, scan in scans if not _broken(scan) and len(scan) >= _FEWEST_POINTS]
+    """List the scans at which the sensor changes, searched between those of the sample."""
+    whole = [(i, scan) for i, scan in scans if not _broken(scan) and len(scan) >= _MIN_POINTS]
     signed = [(i, signature(scan.points)) for i, scan in whole]
     known = [(i, found) for i, found in signed if found is not None]
     changes = []
@@ -143,14 +143,14 @@ def _sensor_changes(recording: Inspectable, scans: list[tuple[int, Scan]]) -> li
         if new.is_like(old):
             continue
         place = _first_unlike(recording, old, low, high)
-        changes.append(f"{recording.where(place)}: {_OTHER_SENSOR}: {new}, before it {old}")
-    more = len(changes) - _MOST_CHANGES
+        changes.append(f"{recording.where(place)}: {_OTHER_SENSOR}: {new}; before: {old}")
+    more = len(changes) - _MAX_CHANGES
     rest = [f"{_OTHER_SENSOR}: {more} more times"] if more > 0 else []
-    return [*changes[:_MOST_CHANGES], *rest]
+    return [*changes[:_MAX_CHANGES], *rest]
 
 
 def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -> int:
-    """The position of the change; ``low`` is like ``old``, ``high`` is not."""
+    """Return the position of the change, given ``low`` like ``old`` and ``high`` unlike it."""
     while high - low > 1:
         middle = (low + high) // 2
         try:
@@ -165,11 +165,11 @@ def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -
 
 
 def _broken(scan: Scan) -> bool:
-    return scan.dropped > _SUBSTANTIAL * (len(scan) + scan.dropped)
+    return scan.dropped > _MAX_DROPPED * (len(scan) + scan.dropped)
 
 
 def _within(size: int, median: float) -> bool:
-    return median / _ODD_SIZE <= size <= median * _ODD_SIZE
+    return median / _SIZE_RATIO <= size <= median * _SIZE_RATIO
 
 
 def _time_problems(recording: Inspectable) -> list[str]:
@@ -181,15 +181,15 @@ def _time_problems(recording: Inspectable) -> list[str]:
         return []
     problems = []
     if (steps <= 0).any():
-        problems.append(f"times do not rise behind scan {_number(recording, steps <= 0)}")
+        problems.append(f"stamps do not rise after scan {_number(recording, steps <= 0)}")
     long = steps > 3 * np.median(steps)
-    if recording.poses is not None:  # who is slow for a moment misses nothing
-        ways = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
-        long &= (ways > 3 * np.median(ways)) | (steps > LONGEST_GAP_S)
+    if recording.poses is not None:  # a robot at rest misses nothing
+        lengths = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
+        long &= (lengths > 3 * np.median(lengths)) | (steps > LONGEST_GAP_S)
     if long.any():
         problems.append(
             f"{int(long.sum())} gaps in time, the longest {steps[long].max():.2f} s "
-            f"behind scan {int(recording.indices[np.where(long, steps, 0.0).argmax()])}"
+            f"after scan {int(recording.indices[np.where(long, steps, 0.0).argmax()])}"
         )
     return problems
 
@@ -204,22 +204,22 @@ def _pose_problems(recording: Inspectable) -> list[str]:
         return []
     problems = []
     if isinstance(track, Track) and len(track.gaps):
-        usual = float(np.median(np.diff(track.keys)))  # of key frames it may be seconds
+        usual = float(np.median(np.diff(track.keys)))  # key frames may be seconds apart
         gaps = track.gaps[track.gaps > 3 * usual]
         if len(gaps):
             problems.append(
                 f"{len(gaps)} gaps in the poses, the longest {gaps.max():.1f} s: scans in them are "
                 "left out"
             )
-    ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    if stamps is None or not len(ways):
+    lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    if stamps is None or not len(lengths):
         return problems
     with np.errstate(divide="ignore", invalid="ignore"):
-        jumps = (ways > _FASTEST_M_S * np.diff(stamps)) & (ways > 1.0)
+        jumps = (lengths > _MAX_SPEED_M_S * np.diff(stamps)) & (lengths > 1.0)
     if jumps.any():
         first = int(jumps.argmax())
         problems.append(
-            f"poses jump {int(jumps.sum())} times, by {ways[first]:.1f} m "
-            f"behind scan {int(recording.indices[first])}"
+            f"poses jump {int(jumps.sum())} times, by {lengths[first]:.1f} m "
+            f"after scan {int(recording.indices[first])}"
         )
     return problems

@@ -1,4 +1,4 @@
-"""Where the files of datasets lie and what their names say."""
+"""Files of datasets: records, names and folders."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from ..types import Float32, Float64, Int64, Scan
 
 
 def rows_of(data: bytes, dtype: np.dtype[np.void] | str, width: int = 0) -> NDArray[np.generic]:
-    """The bytes as records, (N,), or as rows of ``width`` values, (N, width).
+    """Return bytes as records (N,), or as rows of ``width`` values (N, width).
 
-    Raise DatasetError if they are not a whole number of records, as in a file that was cut off.
+    Raise DatasetError if the last record is incomplete, as in a truncated file.
     """
     kind = np.dtype(dtype)
     size = kind.itemsize * (width or 1)
     if len(data) % size:
-        raise DatasetError(f"cut off: {len(data)} bytes are not whole points of {size}")
+        raise DatasetError(f"cut off: {len(data)} bytes are no multiple of {size} bytes per point")
     check_points(len(data) // size)
     values = np.frombuffer(data, dtype=kind) if data else np.empty(0, dtype=kind)
     return values.reshape(-1, width) if width else values
 
 
 def float_rows(data: bytes, width: int) -> Float32:
-    """Rows of little-endian float32."""
+    """Return rows of little-endian float32."""
     return np.asarray(rows_of(data, "<f4", width), dtype=np.float32)
 
 
 def returned(points: NDArray[np.floating], times: NDArray[np.floating] | None = None) -> Scan:
-    """A scan of the points that are returns: firings without one are stored as zeros."""
+    """Return a scan without the zeros that stand for firings without a return."""
     hit = (points[:, :3] != 0).any(axis=1)
     if hit.all():
         return Scan(points, times=times)
@@ -41,14 +41,14 @@ def returned(points: NDArray[np.floating], times: NDArray[np.floating] | None = 
 
 
 def parse_float4(data: bytes) -> Scan:
-    """Rows of float32: x, y, z, reflectance."""
+    """Parse rows of float32: x, y, z, reflectance."""
     return returned(float_rows(data, 4))
 
 
 def column_times(count: int, rows: int = 64, columns: int = 1024) -> NDArray[np.float64] | None:
-    """Seconds after the start of a 10 Hz turn, for clouds stored column by column.
+    """Return seconds after the start of a 10 Hz turn, for clouds stored column by column.
 
-    None where the cloud is not whole, so that the columns of its points are not known.
+    Return None if the cloud is incomplete: columns are then unknown.
     """
     if count != rows * columns:
         return None
@@ -56,7 +56,7 @@ def column_times(count: int, rows: int = 64, columns: int = 1024) -> NDArray[np.
 
 
 def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
-    """The files of a folder with a suffix and a name that ends in a number, sorted by it.
+    """List the files NUMBERsuffix of a folder, sorted by number.
 
     Raise DatasetError if there are none, or two have the same number.
     """
@@ -75,9 +75,9 @@ def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:
 
 
 def holds_scans(folder: Path, digits: int = 1) -> bool:
-    """Whether a folder has a file NUMBER.bin of so many digits or more: 15 are a time.
+    """Return whether a folder has a file NUMBER.bin of at least this many digits (15: a time).
 
-    Other files in folders of the same names are somebody else's, to be read as a plain folder.
+    Folders of the same name with other files are read as plain folders.
     """
     if not folder.is_dir():
         return False
@@ -86,32 +86,29 @@ def holds_scans(folder: Path, digits: int = 1) -> bool:
 
 
 def numbers(paths: list[Path]) -> Int64:
-    """The numbers in the names of files, (N,) int64."""
+    """Return the numbers in the names of files, (N,) int64."""
     if any(len(path.stem) > 18 and int(path.stem) > np.iinfo(np.int64).max for path in paths):
         raise DatasetError(f"{paths[-1]}: the number in its name is too large")
     return np.array([int(path.stem) for path in paths], dtype=np.int64)
 
 
 def in_seconds(paths: list[Path], unit: float) -> Float64:
-    """The numbers in the names of files as stamps, (N,) float64; ``unit`` is theirs in seconds."""
+    """Return the numbers in file names as stamps [s], (N,) float64; ``unit`` is in seconds."""
     return np.asarray(numbers(paths) * unit, dtype=np.float64)
 
 
 def relative(path: Path, root: Path) -> str:
-    """A file's path inside a recording, for messages and tables."""
+    """Return a file's path inside a recording, for messages and tables."""
     return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
 
 
 def choose(path: Path, present: list[str], topic: str | None) -> str:
-    """The one of several sensors that is asked for, or the only one.
+    """Return the chosen sensor, or the only one.
 
-    Raise DatasetError if there are several and none is asked for, or the one that is asked for is
-    not there.
+    Raise DatasetError if there are several and none is chosen, or the chosen one is missing.
     """
     if topic is not None and topic not in present:
-        raise DatasetError(f"{path}: no {topic!r} in it, only {', '.join(present) or 'nothing'}")
+        raise DatasetError(f"{path}: no {topic!r}; available: {', '.join(present) or 'none'}")
     if topic is None and len(present) > 1:
-        raise DatasetError(
-            f"{path}: several sensors: choose one of them: --topic {'|'.join(present)}"
-        )
+        raise DatasetError(f"{path}: several sensors, choose one: --topic {'|'.join(present)}")
     return topic or present[0]

@@ -1,4 +1,4 @@
-"""Poses for a recording that has none: LiDAR odometry by kiss-icp.
+"""LiDAR odometry by kiss-icp, for recordings without poses.
 
 I. Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP", RA-L 2023.
 """
@@ -19,9 +19,9 @@ from ..motion import times_fit
 from ..types import Pose, Scan
 from .recorded import RecordedSequence
 
-_FEWEST_POINTS = 50
-_LONGEST_STEP_M = 20.0
-_MOST_IN_A_ROW = 5
+_MIN_POINTS = 50
+_MAX_STEP_M = 20.0
+_MAX_IN_A_ROW = 5
 
 
 def lidar_odometry(
@@ -30,31 +30,30 @@ def lidar_odometry(
     max_range_m: float = 100.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
-    """Poses of the sensor from its scans alone; the frame is that of the first scan.
+    """Estimate the sensor's poses from its scans; the frame is that of the first scan.
 
-    Runs on one thread, so that the same scans give the same poses. Points with times are de-skewed,
-    and a pose then holds at the end of its scan: its stamp is that moment, not the scan's own.
+    Runs on one thread, so that results repeat. Points with times are de-skewed to the end of their
+    scan; the pose and its stamp then hold at that moment.
 
     Parameters
     ----------
     recording : RecordedSequence
         Any sequence that :func:`~segloc.datasets.open_sequence` opens.
     max_range_m : float
-        Points farther away are not used.
+        Range beyond which points are ignored [m].
     progress : callable, optional
-        Called with (scans done, scans in all).
+        Called with (scans done, total).
 
     Returns
     -------
     Trajectory
-        Stamps are seconds where the recording has stamps, and else the scans' numbers.
+        Stamped in seconds, or by scan number if the recording has no stamps.
 
     Raises
     ------
     DatasetError
-        If a scan cannot be read or is empty or of one plane, or the odometry was lost: a pose is
-        not finite, or jumps, or falls back to where it began, or several scans in a row were not
-        registered.
+        If a scan cannot be read, is empty or lies in one plane, or the odometry is lost: a pose is
+        not finite, jumps, or returns to the origin, or several scans in a row are not registered.
     MissingDependency
         If kiss-icp is not installed.
     """
@@ -115,7 +114,7 @@ class ScanOdometry:
         """
         if not self._poses and len(scan) and geometry.in_one_plane(scan.points):
             raise InvalidScan("odometry needs 3D, not one plane")
-        if len(scan) < _FEWEST_POINTS:
+        if len(scan) < _MIN_POINTS:
             raise InvalidScan(f"only {len(scan)} points: odometry is lost")
         times, last = np.empty(0), 0.0
         if scan.times is not None and times_fit(scan):
@@ -130,22 +129,22 @@ class ScanOdometry:
     def _fault(self, pose: Pose) -> str:
         """KISS-ICP reports a loss by odd poses, never by an error."""
         if not np.isfinite(pose).all():
-            return "a pose that is not finite"
+            return "pose not finite"
         if not self._poses:
             return ""
         last = self._poses[-1]
         step = float(np.linalg.norm(pose[:3, 3] - last[:3, 3]))
-        if step > _LONGEST_STEP_M:
-            return f"a step of {step:.1f} m"
+        if step > _MAX_STEP_M:
+            return f"a step of {step:.1f} m (at most {_MAX_STEP_M:.0f} m)"
         if np.array_equal(pose, np.eye(4)) and np.linalg.norm(last[:3, 3]) > 0.1:
-            return "back at the beginning"
+            return "pose returned to the origin"
         if len(self._poses) < 3 or step < 1e-3:
             return ""
-        # Without correspondences the pose is the one that was predicted: the last step again.
+        # Without correspondences kiss-icp returns the predicted pose: the last step again.
         before = self._poses[-2]
         predicted = last @ np.linalg.inv(before) @ last
         self._idle = self._idle + 1 if np.abs(predicted - pose).max() < 1e-9 else 0
-        return "scans do not fit each other" if self._idle >= _MOST_IN_A_ROW else ""
+        return "consecutive scans do not match" if self._idle >= _MAX_IN_A_ROW else ""
 
 
 def _kiss_icp(max_range_m: float) -> Any:
@@ -162,14 +161,14 @@ def _kiss_icp(max_range_m: float) -> Any:
 
 
 def odometry_path(path: Path, topic: str | None = None) -> Path:
-    """Where the odometry of the recording at ``path`` is kept: beside it."""
+    """Return the file of stored odometry, beside the recording at ``path``."""
     place = path.resolve()
     part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
     return place.parent / f"{place.name}{part}.odometry.tum"
 
 
 def kept_odometry(file: Path, recording: RecordedSequence) -> bool:
-    """Whether a file holds the odometry of the recording's scans: as many, at the same times."""
+    """Return whether a file holds odometry of these scans: same number, same times."""
     if not file.is_file():
         return False
     try:
@@ -185,13 +184,12 @@ def kept_odometry(file: Path, recording: RecordedSequence) -> bool:
 def compute_odometry(
     recording: RecordedSequence, file: Path, progress: Callable[[int, int], None] | None = None
 ) -> Trajectory:
-    """Run :func:`lidar_odometry` and keep its poses in a TUM file.
+    """Run :func:`lidar_odometry` and write its poses to a TUM file.
 
-    Raise DatasetError if the file's folder cannot be written to, before the work; or as the
-    odometry does.
+    Raise DatasetError early if the file's folder is not writable, and as the odometry does.
     """
     if not os.access(file.parent, os.W_OK):
-        raise DatasetError(f"{file}: its folder cannot be written to: name another file by --out")
+        raise DatasetError(f"{file}: folder not writable: choose another file with --out")
     trajectory = lidar_odometry(recording, progress=progress)
     write_tum(file, trajectory)
     return trajectory

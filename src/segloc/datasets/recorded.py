@@ -1,4 +1,4 @@
-"""A recording in the format of some dataset or logger, behind the interface of all recordings."""
+"""Recordings of datasets and loggers behind one interface."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _RANGE = re.compile(r"(\d{0,18})(:?)(\d{0,18})", re.ASCII)
 
 
 class Sequence(Recording, Protocol):
-    """A recording that parts can be taken of."""
+    """A recording of which parts can be selected."""
 
     def select(self, selection: Selection) -> Sequence:
-        """The scans whose indices are in the selection, in the same order."""
+        """Return the scans whose indices are selected, in the same order."""
         ...
 
 
@@ -38,7 +38,7 @@ class Selection:
     ranges: tuple[tuple[int, int | None], ...]
 
     def mask(self, indices: Int64) -> NDArray[np.bool_]:
-        """Which of the indices are selected, (N,) bool."""
+        """Return which of the indices are selected, (N,) bool."""
         chosen = np.zeros(len(indices), dtype=bool)
         for first, last in self.ranges:
             chosen |= (indices >= first) & (True if last is None else indices <= last)
@@ -49,7 +49,7 @@ class Selection:
 
 
 def parse_select(text: str) -> Selection:
-    """A selection like ``100:947,1001:1100``: inclusive ranges, open ends, single numbers.
+    """Parse a selection like ``100:947,1001:1100``: inclusive ranges, open ends, single numbers.
 
     Raises
     ------
@@ -62,7 +62,9 @@ def parse_select(text: str) -> Selection:
 def _parse_range(part: str, text: str) -> tuple[int, int | None]:
     found = _RANGE.fullmatch(part)
     if found is None or not (found[1] or found[3]):
-        raise ConfigError(f"selection {text[:80]!r}: {part[:40]!r} is no number and no range")
+        raise ConfigError(
+            f"selection {text[:80]!r}: {part[:40]!r} is neither a number nor a range A:B"
+        )
     first = int(found[1] or 0)
     last = first if not found[2] else int(found[3]) if found[3] else None
     if last is not None and last < first:
@@ -79,13 +81,13 @@ def assembled(
     T_base_sensor: Pose | None = None,
     selection: Selection | None = None,
 ) -> RecordedSequence:
-    """A sequence of the scans that a reader found, with the poses that were asked for.
+    """Build a sequence from the scans that a reader found, with the chosen poses.
 
-    Scans that lie outside the poses in time, or in a gap of theirs, are left out and noted.
+    Scans outside the poses in time, or in a gap of them, are dropped and noted.
 
-    poses: a file to take the poses from
-    own_poses: whether to take the recording's own where no file is given
-    T_base_sensor: (4, 4) where the sensor is on the body that the poses are of, if they are not the
+    poses: file of poses
+    own_poses: True to use the recording's own poses if no file is given
+    T_base_sensor: (4, 4) mount of the sensor on the body of the poses; None if they are the
       sensor's
     selection: indices of the scans to keep
 
@@ -93,9 +95,9 @@ def assembled(
     has one.
     """
     if not len(found.source):
-        raise DatasetError(f"{found.name}: {found.format} without any scan")
-    track, at_scans, stamps, said = _posed(found, poses, own_poses, T_base_sensor)
-    notes, motion = [*found.notes, *said], None
+        raise DatasetError(f"{found.name}: {found.format} without scans")
+    track, at_scans, stamps, pose_notes = _posed(found, poses, own_poses, T_base_sensor)
+    notes, motion = [*found.notes, *pose_notes], None
     if track is not None and deskewed and track.clock == "seconds" and len(track.keys) > 1:
         motion = Motion(track.keys, track.poses)
     unit = _time_unit(found, stamps)
@@ -114,24 +116,24 @@ def assembled(
     known = np.isfinite(sequence.poses[:, 0, 0])
     if known.all():
         return sequence
-    lost = f"{int((~known).sum())} of {len(known)} scans left out: no pose in {track.source}"
+    lost = f"{int((~known).sum())} of {len(known)} scans dropped: no pose in {track.source}"
     if not known.any():
         raise DatasetError(lost)
-    used = f"the other {int(known.sum())} are used (--select A:B,C:D uses fewer)"
+    used = f"using the other {int(known.sum())} (--select A:B,C:D selects fewer)"
     return replace(sequence.part(known), notes=(*notes, f"{lost}; {used}"))
 
 
 def _posed(
     found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
 ) -> tuple[Track | None, Float64 | None, Float64 | None, list[str]]:
-    """The sensor's track, its poses at the scans, the scans' stamps, and notes."""
+    """Return the sensor's track, its poses at the scans, the scans' stamps, and notes."""
     stamps = found.stamps
     if poses is not None:
         track = _of_file(found, poses, T_base_sensor)
         notes = [track.note] * bool(track.note)
         if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
             stamps = track.keys
-            notes.append(f"{track.source}: poses by time, scans without: paired in their order")
+            notes.append(f"{track.source}: stamped poses paired with unstamped scans in order")
         at_scans = track.at(found.indices, stamps)
         return track, at_scans, stamps, notes
     if not own_poses:
@@ -141,12 +143,12 @@ def _posed(
         if own is None:
             return None, None, stamps, []
         return own, own.at(found.indices, stamps), stamps, [own.note] * bool(own.note)
-    except DatasetError as error:  # the scans are readable without
+    except DatasetError as error:  # scans are readable without poses
         return None, None, stamps, [f"{error}: poses not used"]
 
 
 def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
-    """The unit of points' times, by some scans; None if the format defines it."""
+    """Recognise the unit of point times from some scans; None if the format defines it."""
     if found.times_sure or stamps is None:
         return None
     count = len(found.source)
@@ -155,48 +157,48 @@ def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
         try:
             times = found.source.read(k).times
         except SeglocError:
-            continue  # told where the scan is needed
+            continue  # reported when the scan is read
         if times is not None:
             samples.append((times, float(stamps[k])))
     return time_unit(samples, period_of(stamps))
 
 
 def _of_file(found: Found, poses: Path, T_base_sensor: Pose | None) -> Track:
-    """The sensor's track in a file."""
+    """Read the sensor's track from a file."""
     if (track := found.own_poses(poses)) is not None:
         return track
     track = read_track(poses, found.indices, found.stamps)
-    return track if T_base_sensor is None else track.moved(T_base_sensor)
+    return track if T_base_sensor is None else track.of_sensor(T_base_sensor)
 
 
 def _own(found: Found, T_base_sensor: Pose | None) -> Track | None:
-    """The sensor's track that comes with the recording, if there is one."""
+    """Return the sensor's own track in the recording, if any."""
     track = found.own_track()
     if track is None and found.base_track is not None and T_base_sensor is not None:
-        return found.base_track.moved(T_base_sensor)
+        return found.base_track.of_sensor(T_base_sensor)
     return track
 
 
 class Source(Protocol):
-    """Where scans are read from; can be pickled."""
+    """Reader of single scans; picklable."""
 
     def __len__(self) -> int: ...
 
     def read(self, k: int) -> Scan:
-        """The scan at position k; times, if any, in seconds after the scan's stamp."""
+        """Read scan k; times, if any, in seconds after the scan's stamp."""
         ...
 
     def where(self, k: int) -> str:
-        """What the scan at position k is called in messages: its file or message."""
+        """Return the name of scan k for messages: its file or message."""
         ...
 
 
 @dataclass(frozen=True)
 class FileSource:
-    """One file a scan."""
+    """Scans in files, one each."""
 
     paths: tuple[Path, ...]
-    parse: Callable[[bytes], Scan] | None = None  # of a file's bytes; None: by its suffix
+    parse: Callable[[bytes], Scan] | None = None  # parser of a file's bytes; None: by suffix
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -213,36 +215,33 @@ class FileSource:
 
 @dataclass(frozen=True)
 class Found:
-    """What the reader of a format finds at a path, before poses are chosen."""
+    """Contents that the reader of a format found at a path, before poses are chosen."""
 
     name: str  # of the recording
     format: str
     source: Source
     indices: Int64  # (N,) numbers of the source's scans
-    stamps: Float64 | None  # (N,) when they were taken, seconds
-    frame: str  # the frame of the points
-    fields: str  # what the format has of each point
-    notes: tuple[str, ...] = ()  # faults that were met, one line each
-    topic: str | None = None  # of several sensors, topics or scenes; None in formats that have one
-    # reads the poses that come with the recording; None where there are none
+    stamps: Float64 | None  # (N,) seconds
+    frame: str  # frame of the points
+    fields: str  # fields of each point
+    notes: tuple[str, ...] = ()  # faults found, one line each
+    topic: str | None = None  # sensor, topic or scene; None in formats with a single one
+    # reads the recording's own poses; returns None if it has none
     own_track: Callable[[], Track | None] = field(default=lambda: None, repr=False)
-    # a track from a file in the dataset's own format; None for a file of another format
+    # reads a pose file in the dataset's own format; returns None for another format
     own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
-    # the poses that come with the recording where they are of a body that nothing says
-    # where the sensor is on
+    # the recording's own poses of a body on which the sensor's mount is unknown
     base_track: Track | None = field(default=None, repr=False)
-    # (4, 4) how the sensor is mounted, where the recording says so
-    T_base_sensor: Pose | None = None
+    T_base_sensor: Pose | None = None  # (4, 4) mount of the sensor, if recorded
     gravity: GravitySource | None = None
-    # whether the format defines the unit of points' times; otherwise it is recognised
-    times_sure: bool = True
+    times_sure: bool = True  # True if the format defines the unit of point times
 
 
 @dataclass(frozen=True)
 class RecordedSequence:
-    """The scans of a recording; a ``Sequence``. Scans are read when they are asked for."""
+    """A ``Sequence`` whose scans are read on access."""
 
-    name: str  # this and the next: as in :class:`Found`
+    name: str  # this and the next three as in :class:`Found`
     format: str
     frame: str
     fields: str
@@ -251,23 +250,20 @@ class RecordedSequence:
     indices: Int64  # (N,)
     stamps: Float64 | None  # (N,) seconds
     poses: Float64 | None  # (N, 4, 4) T_world_sensor
-    track: Track | None  # what the poses were interpolated from
-    # what points with times are corrected by, to where they would be at the scan's stamp
-    motion: Motion | None
+    track: Track | None  # from which the poses were interpolated
+    motion: Motion | None  # for de-skewing points to the scan's stamp
     notes: tuple[str, ...]
-    # (4, 4) how the sensor is mounted on its robot or vehicle, where that is known
-    T_base_sensor: Pose | None = None
-    gravity: GravitySource | None = None  # of scans without poses
-    # of the points' times as the source has them; None for seconds after the stamp
-    time_unit: TimeUnit | None = None
+    T_base_sensor: Pose | None = None  # (4, 4) mount on the robot or vehicle, if known
+    gravity: GravitySource | None = None  # for scans without poses
+    time_unit: TimeUnit | None = None  # of the source's point times; None: seconds after the stamp
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def scan(self, i: int) -> Scan:
-        """Read the scan at position i, de-skewed where points have times and poses are known.
+        """Read scan i; de-skewed if its points have times and poses are known.
 
-        Raise DatasetError if there is no such position or the scan cannot be read.
+        Raise DatasetError if the position does not exist or the scan cannot be read.
         """
         scan = self.raw(i)
         stamp = stamp_at(self, i)
@@ -275,23 +271,23 @@ class RecordedSequence:
         scan.stamp = stamp
         scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
         scan.T_base_sensor = self.T_base_sensor
-        if self.gravity is not None and (felt := self.gravity.at(int(self.rows[i]))):
-            scan.gravity, scan.gravity_error_deg = felt.direction, felt.error_deg
+        if self.gravity is not None and (gravity := self.gravity.at(int(self.rows[i]))):
+            scan.gravity, scan.gravity_error_deg = gravity.direction, gravity.error_deg
         return scan
 
     def raw(self, i: int) -> Scan:
-        """The scan at position i as it was recorded, without pose."""
+        """Read scan i as recorded, without a pose."""
         if not 0 <= i < len(self):
             raise DatasetError(f"{self.name}: no scan at position {i} of {len(self)}")
         scan = self.source.read(int(self.rows[i]))
-        return self.time_unit.applied(scan, stamp_at(self, i)) if self.time_unit else scan
+        return self.time_unit.apply(scan, stamp_at(self, i)) if self.time_unit else scan
 
     def where(self, i: int) -> str:
-        """The file or message of the scan at position i."""
+        """Return the file or message of scan i."""
         return self.source.where(int(self.rows[i]))
 
     def select(self, selection: Selection) -> RecordedSequence:
-        """The scans whose indices are in the selection, in the same order.
+        """Return the scans whose indices are selected, in the same order.
 
         Raise DatasetError if there are none.
         """
@@ -302,7 +298,7 @@ class RecordedSequence:
         return self.part(mask)
 
     def part(self, mask: np.ndarray) -> RecordedSequence:
-        """The scans at some positions, (N,) bool."""
+        """Return the scans at positions of a mask (N,) bool."""
         return replace(
             self,
             rows=self.rows[mask],

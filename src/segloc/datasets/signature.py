@@ -1,4 +1,4 @@
-"""What kind of sensor scans were taken by, from the angles at which their points lie."""
+"""Recognise the sensor of a scan by the elevation angles of its points."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from ..types import Float64, Recording
 
 PUSH_BROOM = "a sweep of one plane"
 _BIN_DEG = 0.02
-_WIDE_DEG, _AROUND = 0.05, 61  # bins by which axes are told apart, and how many are averaged
+_WIDE_DEG, _AROUND = 0.05, 61  # bin size for comparing axes, and bins averaged
 _SHARP, _SHARPER = 3.0, 2.0
-_FEWEST_POINTS = 2000  # by which axes are told apart
-_MOST_COUNTED = 48  # beams; more of them are too close to be told apart reliably
-_OTHER_BEAMS = 1.5  # times as many
-_OTHER_DEG = 4.0  # between the lowest beams, which meet the ground in every scan
-_STEEP_DEG = -35.0  # no beams of a single turn look down so steeply, or those of any direction do
+_MIN_POINTS = 2000  # to compare axes
+_MAX_COUNTED = 48  # beams; more are too close to be separated reliably
+_BEAM_RATIO = 1.5  # beyond it, beam counts differ
+_MAX_LOW_DEG = 4.0  # between the lowest beams, which hit the ground in every scan
+_STEEP_DEG = -35.0  # below any beam of a single turn; accumulated clouds reach lower
 
 
 @dataclass(frozen=True)
 class Signature:
-    """What tells scans of one sensor from those of another."""
+    """Beam pattern of a sensor."""
 
-    beams: int  # separate elevation angles that points lie at; 1 for a sweep of one plane
-    low_deg: float  # the lowest of these angles
-    high_deg: float  # the highest
+    beams: int  # distinct elevation angles; 1 for a sweep of one plane
+    low_deg: float  # lowest elevation
+    high_deg: float  # highest elevation
 
     @property
     def many(self) -> bool:
-        """Whether there are more beams than can be counted."""
-        return self.beams > _MOST_COUNTED
+        """True if there are more beams than can be counted."""
+        return self.beams > _MAX_COUNTED
 
     def is_like(self, other: Signature) -> bool:
-        """Whether both can be of one sensor."""
+        """Return whether both can be of one sensor."""
         if 1 in (self.beams, other.beams):
             return self.beams == other.beams
         fewer, more = sorted((self.beams, other.beams))
         if self.low_deg < _STEEP_DEG and other.low_deg < _STEEP_DEG and self.many and other.many:
-            return True  # gathered clouds reach down to the ground beneath, by other angles each
-        same_beams = fewer > _MOST_COUNTED or more <= _OTHER_BEAMS * max(fewer, 4)
-        return same_beams and abs(self.low_deg - other.low_deg) < _OTHER_DEG
+            return True  # accumulated clouds reach the ground beneath, at varying angles
+        same_beams = fewer > _MAX_COUNTED or more <= _BEAM_RATIO * max(fewer, 4)
+        return same_beams and abs(self.low_deg - other.low_deg) < _MAX_LOW_DEG
 
     def __str__(self) -> str:
         if self.beams == 1:
@@ -58,7 +58,7 @@ class Signature:
 
 
 def signature(points: NDArray[np.floating]) -> Signature | None:
-    """That of a cloud (N, 3); None for one of too few points."""
+    """Return the signature of a cloud (N, 3); None for fewer than three points."""
     if len(points) < 3:
         return None
     cloud = points.astype(np.float64)
@@ -69,7 +69,7 @@ def signature(points: NDArray[np.floating]) -> Signature | None:
 
 
 def is_push_broom(recording: Recording) -> bool:
-    """Whether scans are sweeps of one plane, by the largest of a few.
+    """Return whether scans are sweeps of one plane, by the largest of a few.
 
     Raise DatasetError if one of them cannot be read.
     """
@@ -77,12 +77,12 @@ def is_push_broom(recording: Recording) -> bool:
 
 
 def sensor_of(recording: Recording, sample: int = 5) -> str:
-    """Roughly what took the scans, by the largest of ``sample`` of them, and "" if all are empty.
+    """Classify the sensor by the largest of ``sample`` scans; "" if all are empty.
 
-    Coarser than what :func:`inspect` says, so that sessions of one sensor are told alike: one of
-    "a sweep of one plane", "few beams" (less than 48), "many beams".
+    Return "a sweep of one plane", "few beams" (less than 48) or "many beams". This is coarser than
+    :func:`inspect`, so that sessions of one sensor agree.
 
-    Raise DatasetError if one of them cannot be read.
+    Raise DatasetError if a scan cannot be read.
     """
     clouds = [recording.scan(i).points for i in geometry.spread(len(recording), sample)]
     found = signature(max(clouds, key=len, default=np.empty((0, 3), np.float32)))
@@ -96,10 +96,10 @@ def sensor_of(recording: Recording, sample: int = 5) -> str:
 def beam_axis(points: NDArray[np.floating]) -> int:
     """Return the axis about which the beams turn: 0, 1 or 2 for x, y or z.
 
-    It is z, unless points lie at far more distinct elevations about another axis.
+    It is z, unless elevations about another axis are far more distinct.
     """
     cloud = points.astype(np.float64)
-    if len(cloud) < _FEWEST_POINTS:
+    if len(cloud) < _MIN_POINTS:
         return 2
     sharp = [_sharpness(_elevations(cloud, axis)) for axis in range(3)]
     other = int(np.argmax(sharp[:2]))
@@ -107,7 +107,7 @@ def beam_axis(points: NDArray[np.floating]) -> int:
 
 
 def _sharpness(angles: Float64) -> float:
-    """How distinct elevations are; about 1 where they are spread evenly, at any number of them.
+    """Return how distinct elevations are; about 1 if evenly spread, for any number of points.
 
     16 or 32 beams have 13 to 30 about their own axis and at most 1.5 about others.
     """
@@ -117,17 +117,17 @@ def _sharpness(angles: Float64) -> float:
 
 
 def _elevations(cloud: Float64, axis: int = 2) -> Float64:
-    """Elevation angles about an axis [deg], of points that are not too near."""
+    """Return elevation angles about an axis [deg], except of near points."""
     reach = np.linalg.norm(cloud, axis=1)
-    far = cloud[reach > np.median(reach) / 4]  # near points suffer from where beams start
+    far = cloud[reach > np.median(reach) / 4]  # beam origins distort near points
     across = np.delete(far, axis, axis=1)
     return np.asarray(np.degrees(np.arctan2(far[:, axis], np.hypot(*across.T))))
 
 
 def beams(cloud: Float64) -> tuple[int, float, float]:
-    """How many separate elevation angles points lie at, the lowest and the highest, degrees.
+    """Return the number of distinct elevation angles, the lowest and the highest [deg].
 
-    They are those about the axis of the beams.
+    Angles are about the axis of the beams.
     """
     angles = _elevations(cloud, beam_axis(cloud))
     counts, _ = np.histogram(angles, bins=np.arange(-90.0, 90.0 + _BIN_DEG, _BIN_DEG))

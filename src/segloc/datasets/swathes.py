@@ -1,4 +1,4 @@
-"""From the sweeps of a push-broom LiDAR to clouds in three dimensions."""
+"""Combine the sweeps of a push-broom LiDAR into 3D clouds."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from .recorded import Selection
 
 @dataclass(frozen=True)
 class Swathes:
-    """A recording whose scans are those of another, gathered over stretches of its way."""
+    """A recording that accumulates the scans of another over stretches of its trajectory."""
 
     source: Recording  # with poses
-    indices: Int64  # (S,) of the source's scans that give the swathes their poses
+    indices: Int64  # (S,) of the source's scans that define the swathes' poses
     poses: Float64  # (S, 4, 4) T_odom_sensor of those scans
-    # (S, 4, 4) T_world_sensor of those scans where the source knows it, and else ``poses``
-    truth: Float64
-    # (S,) positions in the source: a swathe gathers from first up to last, without it
+    truth: Float64  # (S, 4, 4) T_world_sensor of those scans if the source has it, else ``poses``
+    # (S,) positions in the source: a swathe holds the scans from first to last, exclusive
     first: Int64
     anchor: Int64
     last: Int64
@@ -34,14 +33,14 @@ class Swathes:
         return len(self.indices)
 
     def scan(self, i: int) -> Scan:
-        """The swathe at position i, in the frame of the scan in its middle.
+        """Return the swathe at position i, in the frame of its middle scan.
 
-        Raise DatasetError if there is no such position, or a scan cannot be read.
+        Raise DatasetError if the position does not exist, or a scan cannot be read.
         """
         if not 0 <= i < len(self):
-            raise DatasetError(f"{self.name}: no swathe at position {i}, there are {len(self)}")
+            raise DatasetError(f"{self.name}: no swathe at position {i} of {len(self)}")
         poses = self.source.poses
-        assert poses is not None  # seen to by swathes()
+        assert poses is not None  # checked by swathes()
         T_anchor_odom = geometry.inverse(self.poses[i])
         clouds = [
             geometry.transform(T_anchor_odom @ poses[k], self.source.scan(k).points)
@@ -52,48 +51,48 @@ class Swathes:
 
     @property
     def stamps(self) -> Float64 | None:
-        """Times of the scans in the middle of the swathes, (N,) float64 seconds, where known."""
+        """Stamps of the middle scans (N,) float64 [s], if known."""
         stamps = self.source.stamps
         return None if stamps is None else stamps[self.anchor]
 
     def select(self, selection: Selection) -> Swathes:
-        """The swathes whose indices are in the selection, the same as they were."""
+        """Return the swathes whose indices are selected."""
         mask = selection.mask(self.indices)
         names = ("indices", "poses", "truth", "first", "anchor", "last")
         return replace(self, **{name: getattr(self, name)[mask] for name in names})
 
 
 def swathes(recording: Recording, length_m: float = 30.0) -> Swathes:
-    """Gather a recording's scans into one cloud for every ``length_m`` of travel.
+    """Accumulate a recording's scans into one cloud per ``length_m`` of travel.
 
-    A push-broom LiDAR sees one plane; the way makes the third dimension. 30 m are those of
+    A push-broom LiDAR measures one plane; travel adds the third dimension. 30 m is the length in
     "Real-time LIDAR localization in natural and urban environments", Data Organization. Swathes
-    follow each other without overlap; what is left over at the end is left out, and so are
-    stretches without scans. Scans are taken to be de-skewed: all points in the frame of the pose.
+    do not overlap; an incomplete last swathe and stretches without scans are dropped. Scans must
+    be de-skewed: all points in the frame of the pose.
 
     Raises
     ------
     ConfigError
         If the length is not positive.
     DatasetError
-        If the recording has no poses, or its way is shorter than one swathe.
+        If the recording has no poses, or is shorter than one swathe.
     """
     if not 0 < length_m < np.inf:
         raise ConfigError(f"length_m must be positive, not {length_m}")
     poses = recording.poses
     if poses is None:
         raise DatasetError(f"{recording.name}: swathes need the scans' poses")
-    way = geometry.travelled(poses)
-    cells = np.floor(way / length_m)  # scan by scan: a way may leap over more than there are scans
-    if not len(way) or cells[-1] < 1:
-        reach = way[-1] if len(way) else 0.0
+    travelled = geometry.travelled(poses)
+    cells = np.floor(travelled / length_m)  # one per scan: poses may jump over many swathes
+    if not len(travelled) or cells[-1] < 1:
+        reach = travelled[-1] if len(travelled) else 0.0
         raise DatasetError(
-            f"{recording.name}: a way of {reach:.1f} m is shorter than one swathe of {length_m:g} m"
+            f"{recording.name}: {reach:.1f} m of travel, one swathe needs {length_m:g} m"
         )
     bounds = np.flatnonzero(np.diff(cells, prepend=-1.0))
-    first, last = bounds[:-1], bounds[1:]  # without the last stretch, which is not whole
+    first, last = bounds[:-1], bounds[1:]  # without the incomplete last stretch
     middle = length_m * (cells[first] + 0.5)
-    anchor = np.minimum(np.searchsorted(way, middle), last - 1)
+    anchor = np.minimum(np.searchsorted(travelled, middle), last - 1)
     truth = np.asarray(getattr(recording, "truth", poses))
     return Swathes(
         recording,

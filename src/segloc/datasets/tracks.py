@@ -1,4 +1,4 @@
-"""Poses as recordings come with them: at stamps of their own, or by the number of the scan."""
+"""Poses of recordings, by stamp or by scan number."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ from ..types import Float64, Int64, Pose
 from .clocks import epoch_unit, unit_beside
 
 LONGEST_GAP_S = 1.0
-"""Between poses farther apart in time, no pose is made up."""
-_UNUSABLE = "not finite, no unit quaternion, or not later"
+"""Poses farther apart in time are not interpolated."""
+_UNUSABLE = "not finite, no unit quaternion, or stamp not rising"
 _ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
 
 
 @dataclass(frozen=True)
 class Track:
-    """Where a sensor was.
+    """Poses of a sensor.
 
-    Raise DatasetError if a position is beyond all reason; names the source and the pose, counted
-    from 1.
+    Raise DatasetError if a position is implausible; names the source and the pose, counted from 1.
     """
 
-    source: str  # the file or topic that it comes from
-    keys: Float64  # (K,) strictly rising: seconds on the scans' clock, or numbers of scans
+    source: str  # file or topic
+    keys: Float64  # (K,) strictly rising: seconds on the scans' clock, or scan numbers
     poses: Float64  # (K, 4, 4) T_world_sensor, z up
-    clock: Literal["seconds", "numbers"] = "seconds"  # what the keys are, "seconds" or "numbers"
-    note: str = ""  # what had to be left out, if anything
+    clock: Literal["seconds", "numbers"] = "seconds"  # kind of the keys
+    note: str = ""  # what was dropped, if anything
 
     def __post_init__(self) -> None:
         far, broken = too_far(self.poses), torn(self.poses)
@@ -55,13 +54,13 @@ class Track:
             )
 
     def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
-        """T_world_sensor (N, 4, 4) of scans with these numbers and stamps; NaN where unknown.
+        """Return T_world_sensor (N, 4, 4) at these scan numbers and stamps; NaN where unknown.
 
-        Raise DatasetError if there is no pose for any of them.
+        Raise DatasetError if no scan has a pose.
         """
         if self.clock == "seconds":
             if stamps is None:
-                raise DatasetError(f"{self.source}: poses by time, but the scans have no times")
+                raise DatasetError(f"{self.source}: stamped poses, but the scans have no stamps")
             ends = np.clip(stamps, self.keys[0], self.keys[-1])
             near = np.where(np.abs(ends - stamps) < _ROUNDING_S, ends, stamps)
             found = interpolated(self.keys, self.poses, near, LONGEST_GAP_S)
@@ -75,13 +74,13 @@ class Track:
             )
         return found
 
-    def moved(self, T_body_sensor: Pose) -> Track:
-        """The track of a sensor that is fixed on the body that this one is of."""
+    def of_sensor(self, T_body_sensor: Pose) -> Track:
+        """Return the track of a sensor mounted on the body of this track."""
         return replace(self, poses=self.poses @ T_body_sensor)
 
     @property
     def gaps(self) -> Float64:
-        """Lengths of the gaps that no pose is made up in, seconds, (G,)."""
+        """Lengths of the gaps that are not interpolated (G,) [s]."""
         steps = np.diff(self.keys)
         return steps[steps > LONGEST_GAP_S] if self.clock == "seconds" else steps[:0]
 
@@ -91,36 +90,36 @@ def _span(values: Float64) -> str:
 
 
 def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
-    """A track of poses in seconds without those that are not finite or do not come later.
+    """Build a track of stamped poses, except those not finite or not later than all before.
 
-    Raise DatasetError if none is left, or as a :class:`Track`.
+    Raise DatasetError if none remains, or as :class:`Track` does.
     """
     finite = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
     good = finite.copy()
     good[finite] = rising(stamps[finite])
     if not good.any():
-        raise DatasetError(f"{source}: no poses, of {len(good)} none is usable: {_UNUSABLE}")
+        raise DatasetError(f"{source}: none of its {len(good)} poses is usable: {_UNUSABLE}")
     lost = len(good) - int(good.sum())
-    note = f"{source}: {lost} of {len(good)} poses left out: {_UNUSABLE}" if lost else ""
+    note = f"{source}: {lost} of {len(good)} poses dropped: {_UNUSABLE}" if lost else ""
     return Track(source, stamps[good], poses[good], note=note)
 
 
 def rising(stamps: Float64) -> NDArray[np.bool_]:
-    """Which stamps (N,) are later than all before them."""
+    """Return which stamps (N,) are later than all before them."""
     before = np.concatenate([[-np.inf], np.maximum.accumulate(stamps)[:-1]])
     return np.asarray(stamps > before[: len(stamps)])
 
 
 def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
-    """A TUM or KITTI file as a track for scans with these numbers and stamps.
+    """Read a TUM or KITTI file as a track for scans with these numbers and stamps.
 
-    Stamps of a TUM file are the scans' numbers if they are whole, and else times: seconds, or
-    milli-, micro- or nanoseconds, by their size since 1970 or by the scans' stamps. Times for scans
-    without stamps are taken in the order of the scans if there are as many. Row i of a KITTI file
-    is the pose of scan number i if it has that many rows, and else of the scan at position i.
+    Whole stamps of a TUM file are scan numbers; others are times in seconds, milli-, micro- or
+    nanoseconds, recognised by the epoch or the scans' stamps. Stamped poses of as many unstamped
+    scans are paired in order. Row i of a KITTI file is the pose of scan number i if it has that
+    many rows, else of the scan at position i.
 
-    Raise DatasetError if it cannot be read, there are no poses in it, or it has times and the scans
-    have none.
+    Raise DatasetError if the file cannot be read, has no poses, or has times and the scans have
+    none.
     """
     trajectory, kind = read_trajectory_and_kind(path)
     keys, poses = np.array(trajectory.stamps), np.array(trajectory.poses)
@@ -133,15 +132,15 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
         return Track(str(path), keys, poses, "numbers")
     if stamps is None and len(keys) != len(indices):
         raise DatasetError(
-            f"{path}: its {len(keys)} poses are by time, from {_span(keys * unit)} s, but the "
-            f"{len(indices)} scans have no times: give poses by scan number, or name the files of "
+            f"{path}: its {len(keys)} poses are stamped, from {_span(keys * unit)} s, but the "
+            f"{len(indices)} scans have no stamps: give poses by scan number, or name the files of "
             "scans by their times"
         )
     return Track(str(path), keys * unit, poses)
 
 
 def _time_unit(keys: Float64, indices: Int64, stamps: Float64 | None) -> float | None:
-    """Seconds a unit of a TUM file's stamps; None if they are numbers of scans."""
+    """Return the unit of a TUM file's stamps [s]; None if they are scan numbers."""
     if (unit := epoch_unit(keys)) is not None:
         by_number = stamps is None and bool(np.isin(keys, indices).any())
         return None if by_number else unit
@@ -153,27 +152,27 @@ def _time_unit(keys: Float64, indices: Int64, stamps: Float64 | None) -> float |
 
 
 def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64) -> Track:
-    """Poses without stamps of their own."""
+    """Return the track of poses without stamps."""
     if len(keys) > indices.max():
         return Track(str(path), keys, poses, "numbers")
     count = min(len(keys), len(indices))
     note = ""
     if count < len(indices):
-        note = f"{path}: {count} rows, taken as the poses of the first {count} scans"
+        note = f"{path}: {count} rows, used as the poses of the first {count} scans"
     return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers", note=note)
 
 
 def read_table(
     path: Path, columns: Sequence[str | int], *, separator: str | None = ",", header: bool = False
 ) -> Float64:
-    """Columns of a file of numbers, (N, C) float64.
+    """Read columns of a file of numbers, (N, C) float64.
 
-    columns: by their names, where the first line is a header, or by position
+    columns: names, if the first line is a header, or positions
     separator: None for white space
-    header: whether to leave out the first line
+    header: True to skip the first line
 
     Raise DatasetError if the file cannot be read or has no rows, a column is missing, or a value is
-    no number.
+    not a number.
     """
     try:
         lines = read_file(path).decode("utf-8-sig", "replace").splitlines()
@@ -192,25 +191,25 @@ def read_table(
 
 
 def euler_poses(xyz: Float64, angles: Float64) -> Float64:
-    """Poses (N, 4, 4) from positions (N, 3) and roll, pitch, yaw (N, 3) in radians.
+    """Return poses (N, 4, 4) from positions (N, 3) and roll, pitch, yaw (N, 3) [rad].
 
     R = Rz(yaw) Ry(pitch) Rx(roll).
     """
-    if not len(xyz):  # older SciPy refuses to turn nothing
+    if not len(xyz):  # older SciPy rejects empty input
         return np.empty((0, 4, 4))
     return _assembled(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
 
 
 def are_unit(xyzw: Float64) -> NDArray[np.bool_]:
-    """Which quaternions (N, 4) are near unit length."""
+    """Return which quaternions (N, 4) have about unit length."""
     with np.errstate(all="ignore"):
         return np.asarray(np.abs(np.linalg.norm(xyzw, axis=1) - 1) < 0.05)
 
 
 def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
-    """Poses (N, 4, 4) from positions (N, 3) and quaternions (N, 4) as x, y, z, w.
+    """Return poses (N, 4, 4) from positions (N, 3) and quaternions (N, 4) as x, y, z, w.
 
-    Raise DatasetError if a quaternion is not near unit length; names ``where`` and the row.
+    Raise DatasetError if a quaternion is not of about unit length; names ``where`` and the row.
     """
     if not len(xyz):
         return np.empty((0, 4, 4))
@@ -223,9 +222,9 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
 
 
 def matrix_poses(rows: Float64, where: str) -> Float64:
-    """Poses (N, 4, 4) from their upper three rows, (N, 12); rotations made exact.
+    """Return poses (N, 4, 4) from their upper three rows, (N, 12), with exact rotations.
 
-    Positions of the size of UTM coordinates come with rotations that were rounded.
+    Rotations beside UTM-sized positions come rounded.
 
     Raise DatasetError if one is far from a rotation; names ``where`` and the row.
     """
@@ -247,10 +246,10 @@ def _assembled(xyz: Float64, rotations: Rotation) -> Float64:
 
 
 def mount(xyz: Sequence[float], angles: Sequence[float]) -> Pose:
-    """T_body_sensor from x, y, z in metres and roll, pitch, yaw in radians."""
+    """Return T_body_sensor from x, y, z [m] and roll, pitch, yaw [rad]."""
     poses = euler_poses(np.array([xyz], np.float64), np.array([angles], np.float64))
     return np.asarray(poses[0], dtype=np.float64)
 
 
 Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Between a frame whose z axis points down and the same one turned about x to point it up."""
+"""Turn by 180 degrees about x, between a frame with z down and one with z up."""

@@ -89,7 +89,7 @@ def prepare(segments: Segments, alignment: Alignment = "pca2d", threads: int = 0
 
 @dataclass(frozen=True)
 class Weights:
-    """A network that is ready to run, and what its file says of it.
+    """A loaded network with the metadata of its file.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def save_weights(
 ) -> None:
     """Write a weights file with its layer table, card and hash.
 
-    ``card`` says where the weights come from: data, command, figures, licence.
+    ``card`` is the origin of the weights: data, command, figures, licence.
     """
     settings = {
         "points": str(POINTS),

@@ -155,7 +155,7 @@ class ForestDescriptor(Descriptor):
 
     @property
     def pruner(self) -> Pruner:
-        """The forest, read when it is first asked for: to describe, or to grow one, needs none.
+        """The forest, read on access; describing or growing one needs none.
 
         Raises
         ------
@@ -176,7 +176,7 @@ def save_forest(
 ) -> None:
     """Write a forest for descriptors of that fingerprint.
 
-    ``card`` says where the forest comes from: data, command, figures, licence.
+    ``card`` is the origin of the forest: data, command, figures, licence.
     """
     settings = {"descriptor": fingerprint, "layout": json.dumps(asdict(layout), sort_keys=True)}
     write_weights(path, _KIND, trees.arrays(), settings, card)

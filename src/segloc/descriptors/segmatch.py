@@ -20,7 +20,7 @@ ESF_WEIGHT = 30.0
 """Shape functions sum to one: their largest values then weigh as much as an eigenvalue feature."""
 
 ESF_BINS = 64
-_LEAST_RATIO = 1e-6
+_MIN_RATIO = 1e-6
 
 _NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}}
 
@@ -55,9 +55,9 @@ def eigen_features(segments: Segments, threads: int = 0) -> Float64:
 
 
 def eth_features(segments: Segments, threads: int = 0) -> Float64:
-    """The features as the ETH code computes them: eigenvalues rising, divided by fixed maxima.
+    """Return the features of the ETH code: eigenvalues rising, divided by fixed maxima.
 
-    Its entropy has no minus, and only the last term of it is divided. The eighth number says
+    Its entropy has no minus, and only the last term of it is divided. The eighth number is
     whether the segment is lower than it is wide along both axes of the frame, so it may change as
     the segment turns. The smallest eigenvalue, which the others are divided by, counts as at least
     a millionth of their sum.
@@ -66,7 +66,7 @@ def eth_features(segments: Segments, threads: int = 0) -> Float64:
     -------
     (P, 8) float64
     """
-    e = np.maximum(_shares(segments, threads)[:, ::-1], _LEAST_RATIO)
+    e = np.maximum(_shares(segments, threads)[:, ::-1], _MIN_RATIO)
     e1, e2, e3 = e.T
     terms = e * _log(e)
     features = np.stack(

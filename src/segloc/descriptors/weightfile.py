@@ -150,7 +150,7 @@ def opened(path: Path) -> Iterator[TensorFile]:
         raise WeightsError(f"{path}: not a file")
     try:
         check_bytes(path.stat().st_size, "a file")
-        with tensor_file.opened(path) as file:
+        with tensor_file.open_tensor_file(path) as file:
             yield file
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, measured, and how to mend it."""
+"""Diagnose recordings: measure their faults and name the remedies."""
 
 from .finding import Fault as Fault
 from .finding import Finding as Finding

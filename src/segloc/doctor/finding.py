@@ -1,4 +1,4 @@
-"""A finding: one fault of a recording, in one line that names it and the remedy."""
+"""A finding: one fault of a recording with its remedy, in one line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Fault(str, Enum):
-    """What may be wrong with a recording."""
+    """Faults of recordings."""
 
     READING = "reading"
     UNUSABLE_POINTS = "unusable points"
@@ -37,13 +37,12 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is worth saying of a recording."""
+    """One remark on a recording."""
 
     fault: Fault
     what: str  # what was measured
-    remedy: str = ""  # what mends it; "" where ``what`` says so
-    # whether nothing can be expected to work before it is mended; otherwise it is advice
-    wrong: bool = True
+    remedy: str = ""  # "" if ``what`` includes it
+    wrong: bool = True  # True for a fault that prevents success, False for advice
 
     def __str__(self) -> str:
         return f"{self.what}: {self.remedy}" if self.remedy else self.what

@@ -1,4 +1,4 @@
-"""Why most queries of a recording fail: the fault of its scans behind it, if there is one."""
+"""Likely cause of failed queries: the fault of the scans, if there is one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..system.text import counted
 from ..types import Scanned, as_recording
 from .recording import first_fault
 
-_MOST = 0.5
+_MAX_SHARE = 0.5  # of localized queries, above which no hint is given
 
 
 def hint(
@@ -23,7 +23,7 @@ def hint(
     prior_map: SegmentMap | None = None,
     known: str | None = None,
 ) -> str | None:
-    """Explain in one line why most queries fail; None if most succeed or no cause is known.
+    """Return one line on why most queries fail; None if most succeed or no cause is known.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ def hint(
         The scans of the queries.
     results : list of Localization
     config : LocalCloudConfig, optional
-        How the sensor is mounted.
+        Mount of the sensor.
     prior_map : SegmentMap, optional
-        The map; a frame that is not level is a cause, too.
+        The map; a tilted frame is also a cause.
     known : str, optional
-        A cause that the caller knows; then no scan is examined.
+        Cause known to the caller; no scan is then examined.
     """
     found = sum(result.localized for result in results)
-    if found > _MOST * len(results):
+    if found > _MAX_SHARE * len(results):
         return None
     failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
     cause = known or _fault(scans, config, {} if prior_map is None else prior_map.metadata)
@@ -55,7 +55,7 @@ def hint(
 def _fault(
     scans: Scanned, config: LocalCloudConfig | None, metadata: Mapping[str, str]
 ) -> str | None:
-    """Name the first problem of the scans; if they have none, of the map's frame."""
+    """Describe the first problem of the scans, or else of the map's frame."""
     try:
         finding = first_fault(as_recording(scans), config)
     except SeglocError:

@@ -1,9 +1,8 @@
-"""Whether poses fit their scans: neighbouring clouds compared at them, and at what they may mean.
+"""Check poses against their scans by comparing neighbouring clouds.
 
-A file of poses that is read as it was not meant gives a map that is smeared, and no error. So a few
-pairs of neighbouring clouds are laid on each other at the poses as they are, and at the poses read
-in each of the ways in which they are commonly confused. Where one of these fits clearly better, it
-is named; where none fits, that is said.
+Misread poses smear a map without any error. So pairs of neighbouring clouds are compared at the
+poses as they are, and at the poses read in each commonly confused way. A reading that fits clearly
+better is reported; so are poses if no reading fits.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def _inverse(poses: Float64) -> Float64:
 
 
 def _scalar_first(poses: Float64) -> Float64:
-    """As if the four numbers of each rotation were w, x, y, z."""
+    """Read the four numbers of each rotation as w, x, y, z."""
     first = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
     read: Float64 = poses.copy()
     read[:, :3, :3] = Rotation.from_quat(first[:, [1, 2, 3, 0]]).as_matrix()
@@ -40,18 +39,18 @@ def _scalar_first(poses: Float64) -> Float64:
 
 
 def _of_camera(poses: Float64) -> Float64:
-    return np.asarray(poses @ _T_CAMERA_SENSOR)  # whatever the axes of the world
+    return np.asarray(poses @ _T_CAMERA_SENSOR)  # for any axes of the world
 
 
 def _turned(R: Float64) -> Callable[[Float64], Float64]:
-    """As the poses of scans whose points were turned by R: indoors a ceiling may be the floor."""
+    """Read poses as of scans whose points were turned by R; indoors a ceiling may be the floor."""
     T = np.eye(4)
     T[:3, :3] = R.T
     return lambda poses: np.asarray(poses @ T)
 
 
 def _scaled(factor: float) -> Callable[[Float64], Float64]:
-    """As poses of points whose unit is another by this factor."""
+    """Read poses as of points in another unit."""
 
     def read(poses: Float64) -> Float64:
         scaled: Float64 = poses.copy()
@@ -62,7 +61,7 @@ def _scaled(factor: float) -> Callable[[Float64], Float64]:
 
 
 def _mirrored(poses: Float64) -> Float64:
-    """As the poses of scans whose y axis points the other way."""
+    """Read poses as of scans with mirrored y."""
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     return np.asarray(mirror @ poses @ mirror)
 
@@ -73,7 +72,7 @@ def _nowhere(poses: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class Reading:
-    """What poses may be meant as."""
+    """One way to read poses."""
 
     fault: Fault
     means: Callable[[Float64], Float64]  # (N, 4, 4) poses -> T_odom_sensor, (N, 4, 4)
@@ -128,8 +127,8 @@ READINGS = (
     Reading(
         Fault.WORLD_COORDINATES,
         _nowhere,
-        "points are in world coordinates already, not in the sensor's frame",
-        "take them back by T_world_sensor^-1, each scan by its own pose",
+        "points are already in world coordinates, not in the sensor's frame",
+        "transform each scan by T_world_sensor^-1 of its own pose",
     ),
     Reading(
         Fault.Z_DOWN,
@@ -159,32 +158,32 @@ MILLIMETRES = next(
 )
 
 
-_APART_M, _FARTHEST_M = 2.0, 8.0
-_MOST_SCANS_APART = 25
-_METRES = 60.0  # a sensor that moves farther from scan to scan has poses in something smaller
-_SPREAD, _TURNING = 6, 6  # pairs all along the path, and those that turn most
+_APART_M, _MAX_APART_M = 2.0, 8.0
+_MAX_SCANS_APART = 25
+_MAX_STEP_M = 60.0  # larger steps between scans are in a smaller unit than metres
+_SPREAD, _TURNING = 6, 6  # pairs along the trajectory, and pairs where it turns most
 _RANGE_M, _VOXEL_M, _NEAR_M = 35.0, 0.3, 0.4
-_SAMPLE, _FEWEST = 1500, 100
-_FEWEST_PAIRS = 3
+_SAMPLE, _MIN_POINTS = 1500, 100
+_MIN_PAIRS = 3
 _SHARED_VIEW = 0.25
 """Scans of a narrow sensor are compared if turned by at most this share of its field of view."""
 _ASIDE_M = ((4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0))
 _ALIGN_M = 1.5
-_BETTER, _CLEARLY = 0.08, 0.3  # more points agree, at least, and of those that do not as it is
-_UNRELATED = 0.2  # right poses agree to 0.5 and more, those of another drive to 0.06
+_MIN_GAIN, _MIN_SHARE = 0.08, 0.3  # of points that agree, and of those that disagree as is
+_UNRELATED = 0.2  # correct poses agree to at least 0.5, those of another drive to 0.06
 _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How well two neighbouring clouds agree, as shares of points with another near."""
+    """Agreement of two neighbouring clouds: shares of points with another one nearby."""
 
     as_is: float  # at their poses
     read: Float64  # (R,) at the poses read as each of ``READINGS``
-    chance: float  # at the poses as they are, some metres aside
-    aligned: float  # where they fit best near their poses
-    off_m: float  # from their poses to there, horizontally
-    off_deg: float  # likewise
+    chance: float  # at the poses shifted by some metres
+    aligned: float  # at the best fit near their poses
+    off_m: float  # horizontal distance of the best fit
+    off_deg: float  # rotation of the best fit
 
     @property
     def agreement(self) -> float:
@@ -193,24 +192,24 @@ class Fit:
 
 
 def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) -> list[Finding]:
-    """What is wrong with the poses of a recording; nothing where they cannot be judged.
+    """List the faults of a recording's poses; empty if they cannot be checked.
 
     Parameters
     ----------
     recording : Recording
     config : LocalCloudConfig, optional
-        How the sensor is mounted.
+        Mount of the sensor.
     """
     fits = measured(recording, config)
-    if len(fits) < _FEWEST_PAIRS:
+    if len(fits) < _MIN_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
     read = np.mean([fit.read for fit in fits], axis=0)
     if recording.poses is None or _unit(recording.poses) == 1.0:
-        read[MILLIMETRES] = 0.0  # clouds laid on one spot agree somewhat, whatever they are
+        read[MILLIMETRES] = 0.0  # any clouds in one spot agree somewhat
     best = int(read.argmax())
     better = float(np.mean([fit.read[best] > fit.as_is for fit in fits]))
-    if read[best] - as_is > max(_BETTER, _CLEARLY * (1.0 - as_is)) and better > 0.5:
+    if read[best] - as_is > max(_MIN_GAIN, _MIN_SHARE * (1.0 - as_is)) and better > 0.5:
         reading = READINGS[best]
         measure = f"{read[best]:.0%} of neighbouring clouds agree then, {as_is:.0%} as they are"
         return [Finding(reading.fault, f"{reading.what} ({measure})", reading.remedy)]
@@ -220,10 +219,10 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
 def _smear(fits: list[Fit]) -> list[Finding]:
     agreement = float(np.median([fit.agreement for fit in fits]))
     if agreement < _UNRELATED:
-        what = f"neighbouring clouds do not meet at their poses (agreement {agreement:.2f} of 1)"
+        what = f"neighbouring clouds do not match at their poses (agreement {agreement:.2f} of 1)"
         remedy = (
-            "they are of another recording, in another order or on another clock, or their "
-            "odometry was lost: `segloc odometry` makes others"
+            "they are of another recording, in another order or on another clock, or odometry was "
+            "lost: compute new ones with `segloc odometry`"
         )
         return [Finding(Fault.POSES_SMEAR, what, remedy)]
     off_m = float(np.median([fit.off_m for fit in fits]))
@@ -233,14 +232,14 @@ def _smear(fits: list[Fit]) -> list[Finding]:
         return []
     what = f"neighbouring clouds are {off_m:.1f} m and {off_deg:.1f} degrees off at their poses"
     remedy = (
-        "a map of them is smeared: poses of a body need `mount` in the configuration, times of "
-        "another clock need to be shifted, and `segloc odometry` makes others"
+        "the map would be smeared: set `mount` for poses of a body, shift times of another clock, "
+        "or compute new poses with `segloc odometry`"
     )
     return [Finding(Fault.POSES_OFF, what, remedy)]
 
 
 def measured(recording: Recording, config: LocalCloudConfig | None = None) -> list[Fit]:
-    """How well pairs of neighbouring clouds agree; pairs that cannot be compared are left out."""
+    """Measure the agreement of pairs of neighbouring clouds, where comparable."""
     poses = recording.poses
     if poses is None or len(poses) < 2:
         return []
@@ -256,13 +255,13 @@ def measured(recording: Recording, config: LocalCloudConfig | None = None) -> li
             )
         except DatasetError:
             continue
-        if min(len(target), len(source)) >= _FEWEST and not geometry.in_one_plane(target):
+        if min(len(target), len(source)) >= _MIN_POINTS and not geometry.in_one_plane(target):
             fits.append(_fit(target, source, [geometry.inverse(T[i]) @ T[j] for T in meant]))
     return fits
 
 
 def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
-    """Of two clouds at several poses of the second in the first, the first as they are."""
+    """Fit two clouds at several poses of the second in the first; the first pose is as is."""
     index, sample = (
         _native.PointIndex(target, _NEAR_M),
         source[:: 1 + len(source) // _SAMPLE].copy(),
@@ -288,25 +287,24 @@ def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
 
 
 def _unit(poses: Float64) -> float:
-    """Of the positions, in metres as they are; thousands where that is beyond any vehicle."""
+    """Return the unit of positions [m]: 1, or 1000 if they exceed any vehicle's speed."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return 1000.0 if float(np.median(steps)) > _METRES else 1.0
+    return 1000.0 if float(np.median(steps)) > _MAX_STEP_M else 1.0
 
 
 def _pairs(poses: Float64, unit: float, most_deg: float) -> list[tuple[int, int]]:
-    """Scans that lie a little apart and share their view: some all along the trajectory, and some
-    where it turns most.
+    """Pair scans a little apart with a shared view: along the trajectory, and where it turns most.
 
     Two scans share their view if they are turned by at most ``most_deg`` against each other. Where
-    the sensor turns by more within ``_APART_M``, nearer scans are taken.
+    the sensor turns by more within ``_APART_M``, closer scans are used.
     """
     path = geometry.travelled(poses) / unit
     ends = np.searchsorted(path, path + _APART_M)
-    ends = np.minimum(ends, np.arange(len(path)) + _MOST_SCANS_APART)
+    ends = np.minimum(ends, np.arange(len(path)) + _MAX_SCANS_APART)
     starts = np.flatnonzero(ends < len(path))
-    ends = _facing_alike(poses[:, :3, :3], starts, ends[starts], most_deg)
+    ends = _within_view(poses[:, :3, :3], starts, ends[starts], most_deg)
     apart = path[ends] - path[starts]
-    near = (apart < _FARTHEST_M) & (apart > 0.1)
+    near = (apart < _MAX_APART_M) & (apart > 0.1)
     starts, ends = starts[near], ends[near]
     if not len(starts):
         return []
@@ -317,24 +315,24 @@ def _pairs(poses: Float64, unit: float, most_deg: float) -> list[tuple[int, int]
 
 
 def _alignment(rotations: Float64, starts: Int64, ends: Int64) -> Float64:
-    """The traces of relative rotations, (N,): 3 where headings are equal, less where they turn."""
+    """Return the traces of relative rotations (N,): 3 for equal headings, less for turns."""
     relative = rotations[starts].transpose(0, 2, 1) @ rotations[ends]
     return np.asarray(np.einsum("nii->n", relative), dtype=np.float64)
 
 
-def _facing_alike(rotations: Float64, starts: Int64, ends: Int64, most_deg: float) -> Int64:
-    """The ends, or for those turned by more than ``most_deg`` the last before them that are not."""
+def _within_view(rotations: Float64, starts: Int64, ends: Int64, most_deg: float) -> Int64:
+    """Return the ends, moved back until turned by at most ``most_deg``."""
     if most_deg >= 180.0:
         return ends
     least = 1.0 + 2.0 * np.cos(np.radians(most_deg))
     ends = ends.copy()
     while len(wide := np.flatnonzero(_alignment(rotations, starts, ends) < least)):
-        ends[wide] -= 1  # a scan is aligned with itself
+        ends[wide] -= 1  # stops at the start itself
     return ends
 
 
 def _standing(points: Float32) -> Float32:
-    """What stands near the sensor, thinned: ground agrees with anything."""
+    """Return points above ground near the sensor, thinned: ground agrees with anything."""
     near = points[np.einsum("ij,ij->i", points, points) < _RANGE_M**2]
     thinned = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M)
     config = SegmentationConfig()

@@ -1,4 +1,4 @@
-"""A recording examined: its facts, and all that is found wrong with it."""
+"""Examine a recording: its facts and findings."""
 
 from __future__ import annotations
 
@@ -21,40 +21,39 @@ from .pose_faults import pose_findings
 from .scan_faults import scan_findings
 
 _MOUNTED_DEG = 10.0
-"""A sensor that mostly stands so far off level, always the same way, is mounted so."""
+"""Median tilt in one direction above which the sensor is taken to be mounted so."""
 _SWAYS_DEG = 4.0
-_LEANS_DEG = 3.0
-"""In maps that lean more, scans that are levelled by themselves are found less often, or
-falsely."""
+_TILTED_DEG = 3.0
+"""In maps tilted by more, levelled scans are found less often, or falsely."""
 
 
-class Stands(NamedTuple):
-    """Where roll and pitch come from, in one line, and what is wrong with them."""
+class Attitude(NamedTuple):
+    """Source of roll and pitch, in one line, and findings on them."""
 
-    said: str
+    text: str
     findings: tuple[Finding, ...] = ()
 
 
-def attitudes(recording: Recording, config: LocalCloudConfig, sample: int) -> Stands:
-    """How the sensor stands, by the poses or by ``sample`` scans spread over the recording."""
+def attitude_of(recording: Recording, config: LocalCloudConfig, sample: int) -> Attitude:
+    """Examine roll and pitch of the poses, or of ``sample`` scans spread over the recording."""
     if recording.poses is None:
         return _of_scans(recording, config, sample)
     try:
         lean = frame_lean(recording, config)
     except DatasetError:
-        return Stands("of the poses")  # a scan that cannot be read is a problem already
+        return Attitude("of the poses")  # a scan that cannot be read is a problem already
     if lean is None:
-        return Stands("of the poses (too few walls to check them)")
-    said = f"of the poses, whose z axis is {lean.tilt_deg:.1f} deg off vertical"
+        return Attitude("of the poses (too few walls to check them)")
+    text = f"of the poses, whose z axis is {lean.tilt_deg:.1f} deg off vertical"
     if not lean.noticed:
-        return Stands(said)
+        return Attitude(text)
     what = f"the frame of the poses is tilted by {lean.tilt_deg:.1f} degrees, as walls show"
-    wrong = lean.tilt_deg > _LEANS_DEG
+    wrong = lean.tilt_deg > _TILTED_DEG
     finding = Finding(Fault.POSES_TILTED, what, "`segloc map build --level` turns it", wrong)
-    return Stands(said, (finding,))
+    return Attitude(text, (finding,))
 
 
-def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> Stands:
+def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> Attitude:
     accumulator, sources, off = Accumulator(config), Counter[str](), []
     for scan in sampled(recording, sample):
         cloud = accumulator.gather(scan)
@@ -62,11 +61,11 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> St
         if cloud.attitude != "assumed":
             off.append((cloud.T_local_sensor[2, :3], accumulator.level(scan)))
     if not off:
-        return Stands("not known: the scans show neither floors nor walls")
+        return Attitude("not known: the scans show neither floors nor walls")
     tilts = [angle_deg(up, level) for up, level in off]
     counts = ", ".join(f"{count} {name}" for name, count in sorted(sources.items()))
     middle, most = float(np.median(tilts)), max(tilts)
-    said = f"{counts}; tilt {middle:.1f} deg, at most {most:.1f}"
+    text = f"{counts}; tilt {middle:.1f} deg, at most {most:.1f}"
     findings = []
     if most > 2 * NOTICED_DEG:
         findings.append(_tilted(np.array([up for up, _ in off]), middle, most))
@@ -76,36 +75,36 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> St
             "to tell their roll and pitch"
         )
         findings.append(Finding(Fault.TILT, what, "give gravity, or poses", wrong=False))
-    return Stands(said, tuple(findings))
+    return Attitude(text, tuple(findings))
 
 
 def _tilted(ups: np.ndarray, middle: float, most: float) -> Finding:
-    """Of a sensor that sways, or of one that is mounted at an angle."""
+    """Return the finding on a sensor that sways, or is mounted at an angle."""
     what = f"scans are tilted by {middle:.1f} degrees in the median, {most:.1f} at most"
     mean = ups.mean(axis=0)
     sway = float(np.median([angle_deg(up, mean) for up in ups]))
     if middle > _MOUNTED_DEG and sway < _SWAYS_DEG:
-        remedy = "name how the sensor is mounted, `local_cloud: {mount: {rpy_deg: ...}}`"
+        remedy = "set how the sensor is mounted, `local_cloud: {mount: {rpy_deg: ...}}`"
         return Finding(Fault.TILT, what, remedy)
-    remedy = "each is levelled by what it shows; gravity or poses level it better"
+    remedy = "each scan is levelled by its floors and walls; gravity or poses are more accurate"
     return Finding(Fault.TILT, what, remedy, wrong=False)
 
 
 SAMPLE = 20
-"""Scans that are read, spread over the recording."""
+"""Number of scans read, spread over the recording."""
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What a recording is, and what is wrong with it."""
+    """Facts and findings of a recording."""
 
     inspection: Inspection
-    attitude: str  # where roll and pitch come from
-    findings: tuple[Finding, ...]  # what is wrong comes first
+    attitude: str  # source of roll and pitch
+    findings: tuple[Finding, ...]  # faults first
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing is wrong."""
+        """True if there are no faults."""
         return not any(finding.wrong for finding in self.findings)
 
 
@@ -116,57 +115,57 @@ class Examinable(Recording, Inspectable, Protocol):
 def examine(
     recording: Examinable, config: LocalCloudConfig | None = None, sample: int = SAMPLE
 ) -> Examination:
-    """Look at a recording's facts, at some of its scans, and at its poses.
+    """Examine the facts, some scans and the poses of a recording.
 
-    Scans that cannot be read are among the findings, not raised.
+    Unreadable scans are listed as findings, not raised.
 
     Parameters
     ----------
     recording : recording
         As :func:`segloc.datasets.open_sequence` opens it.
     config : LocalCloudConfig, optional
-        How the sensor is mounted.
+        Mount of the sensor.
     sample : int
-        How many scans to read.
+        Number of scans to read.
     """
     config = config or LocalCloudConfig()
     facts = inspect(recording, sample)
     posed = recording.poses is not None
     seen = scan_findings(sampled(recording, sample), config, posed=posed)
     misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
-    # Where frames are wrong, beams are not where a sensor would have them.
+    # Beams cannot be examined in a wrong frame.
     lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
     notes = set(recording.notes)
     found = [Finding(Fault.READING, line, wrong=line not in notes) for line in lines]
     found += seen + _left_out(facts)
     if not posed and all(finding.fault is not Fault.FEW_BEAMS for finding in found):
         found.append(_NO_POSES)
-    said = "not known"
+    text = "not known"
     if not misframed:
-        stands = attitudes(recording, config, sample)
-        said = stands.said
-        # What is first to be mended is said alone: poses fit no scans that lie on their side, and
-        # poses that are misread are tilted, too.
+        attitude = attitude_of(recording, config, sample)
+        text = attitude.text
+        # Report only the first fault: poses match no scans of a sensor on its side, and misread
+        # poses also look tilted.
         sound = not any(finding.wrong for finding in seen)
         posing = pose_findings(recording, config) if sound else []
         misread = any(finding.wrong for finding in posing)
-        leaning = [one for one in stands.findings if one.fault is not Fault.POSES_TILTED]
-        found += [*(leaning if misread else stands.findings), *posing]
+        leaning = [one for one in attitude.findings if one.fault is not Fault.POSES_TILTED]
+        found += [*(leaning if misread else attitude.findings), *posing]
     order = sorted(found, key=lambda finding: (not finding.wrong, finding.fault is Fault.READING))
-    return Examination(facts, said, tuple(order))
+    return Examination(facts, text, tuple(order))
 
 
 def _left_out(facts: Inspection) -> list[Finding]:
-    """Points that are left out of scans, where no problem of the recording counts them."""
+    """Report dropped points, unless a problem of the recording counts them."""
     found = []
     counted = any(UNUSABLE in line for line in facts.problems)
     if facts.dropped and not counted:
-        what = f"{_percent(facts.dropped)} of the points are {UNUSABLE}: they are left out"
+        what = f"{_percent(facts.dropped)} of the points are {UNUSABLE}: they are dropped"
         found.append(Finding(Fault.UNUSABLE_POINTS, what, wrong=False))
     if facts.missing_returns:
         share = _percent(facts.missing_returns)
         what = f"{share} of the points stand for missing returns, on one spot or at one range"
-        remedy = "they are left out; the driver can leave them out, too, or write NaN"
+        remedy = "they are dropped; the driver can drop them, too, or write NaN"
         found.append(Finding(Fault.MISSING_RETURNS, what, remedy, wrong=False))
     return found
 
@@ -178,7 +177,7 @@ def _percent(share: float) -> str:
 _NO_POSES = Finding(
     Fault.NO_POSES,
     "no poses",
-    "a map needs some (--poses FILE, or --odometry), and queries are found more often with them",
+    "a map needs poses (--poses FILE, or --odometry), and queries are found more often with them",
     wrong=False,
 )
 _FRAME_FAULTS = {
@@ -188,15 +187,15 @@ _FRAME_FAULTS = {
     Fault.CAMERA_AXES,
     Fault.Z_DOWN,
 }
-"""Where points are like this, nothing can be said of what depends on them."""
+"""Faults that prevent further checks."""
 
 
 def first_fault(
     recording: Recording, config: LocalCloudConfig | None = None, sample: int = 5
 ) -> Finding | None:
-    """What must be mended first before anything can be expected to work; None if nothing is known.
+    """Return the first fault to fix; None if none is found.
 
-    Faster than :func:`examine`: by ``sample`` scans and the poses alone.
+    Faster than :func:`examine`: uses ``sample`` scans and the poses alone.
     """
     posed = recording.poses is not None
     found = scan_findings(sampled(recording, sample), config, posed=posed)
@@ -206,7 +205,7 @@ def first_fault(
 
 
 def sampled(recording: Recording, count: int) -> list[Scan]:
-    """Scans spread over a recording, without those that cannot be read."""
+    """Return readable scans spread over a recording."""
     scans = []
     for i in geometry.spread(len(recording), count):
         with suppress(DatasetError):

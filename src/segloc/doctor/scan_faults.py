@@ -1,4 +1,4 @@
-"""What is wrong with scans by themselves: their unit, their frame, their axes, what they show."""
+"""Check single scans: unit, frame, axes, and whether they show enough."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from ..types import Float32, Float64, Scan
 from .finding import Fault, Finding
 
 _NEAR_M, _VOXEL_M = 25.0, 0.4
-_FEWEST_PLACES = 50
+_MIN_PLACES = 50
 _NEIGHBOURS, _SUPPORT_M = 12, 2.5
 _FLAT = 0.05  # variance across a flat place, as a share of that along its narrower direction
-_BROAD = 0.1  # likewise of its two directions: the points of one beam are a line
+_BROAD = 0.1  # variance of its narrower direction as a share of the other; one beam is a line
 _ALONG = 0.94  # cosine of 20 degrees, between a normal and its axis
-_BESIDE_M = 0.3  # what lies at the sensor's own height is on neither side
+_BESIDE_M = 0.3  # surfaces this close to the sensor's own height are on neither side
 
 
 @dataclass(frozen=True)
 class Floors:
-    """What is flat on each side of the sensor, across each axis."""
+    """Flat surfaces on each side of the sensor, across each axis."""
 
-    # (3, 2) of the flat places, those with normals along x, y or z on the negative and on
-    # the positive side, in [0, 1]
+    # (3, 2) share of the flat places with normals along x, y or z, on the negative and on the
+    # positive side, in [0, 1]
     shares: Float64
-    metres: Float64  # (3, 2) how far off they lie along the axis, median; NaN where there are none
+    metres: Float64  # (3, 2) median distance along the axis; NaN if there are none
 
 
 def floors(points: Float32) -> Floors | None:
-    """What is flat in a scan, (N, 3), sensor frame; None where that is too little."""
+    """Find flat surfaces in a scan (N, 3), sensor frame; None if there are too few."""
     near = points[np.einsum("ij,ij->i", points, points) < _NEAR_M**2]
     places = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M).astype(np.float64)
-    if len(places) < _FEWEST_PLACES:
+    if len(places) < _MIN_PLACES:
         return None
     normals, flat = _normals(places)
     places, normals = places[flat], normals[flat]
-    if len(places) < _FEWEST_PLACES:
+    if len(places) < _MIN_PLACES:
         return None
     shares, metres = np.zeros((3, 2)), np.full((3, 2), np.nan)
     for axis, side in np.ndindex(3, 2):
@@ -57,7 +57,7 @@ def floors(points: Float32) -> Floors | None:
 
 
 def _normals(places: Float64) -> tuple[Float64, NDArray[np.bool_]]:
-    """Normals of the surface at each place, (N, 3), and where it is flat."""
+    """Return the normal of the surface at each place (N, 3), and whether it is flat."""
     found = cKDTree(places).query(places, k=_NEIGHBOURS)
     distances, rows = np.asarray(found[0]), np.asarray(found[1])
     spread = places[rows] - places[rows].mean(axis=1, keepdims=True)
@@ -67,37 +67,37 @@ def _normals(places: Float64) -> tuple[Float64, NDArray[np.bool_]]:
     return axes[:, :, 0], flat
 
 
-_FEWEST_POINTS = 200  # of a scan that is judged
-_GROUND, _LITTLE = 0.3, 0.3
-"""So much of what is flat is one floor; and so little, beside it, lies where ground would."""
-_LOW_M = 3.5  # sensors on vehicles and in hands are no higher above ground; ceilings are
+_MIN_POINTS = 200  # of a scan
+_MIN_FLOOR, _MAX_GROUND = 0.3, 0.3
+"""Minimum share of one floor among flat surfaces; maximum share of it at the ground's place."""
+_LOW_M = 3.5  # maximum height of vehicles and hands above ground; ceilings may be higher
 _LOWEST_M = 0.3
 _SMALL_UNITS = ((Fault.MILLIMETRES, 1000), (Fault.CENTIMETRES, 100))
 _USUAL_RANGE_MM = 2500.0
 _STEEP_DEG = 35.0
 _MOUNT = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
 _FEW_BEAMS = 16
-_FEWEST_SEGMENTS, _STANDING = 2, 0.02
+_MIN_SEGMENTS, _STANDING = 2, 0.02
 
 
 def scan_findings(
     scans: Sequence[Scan], config: LocalCloudConfig | None = None, *, posed: bool = False
 ) -> list[Finding]:
-    """What is wrong with some scans of one recording; the first that explains the others.
+    """Return the finding on some scans of one recording that explains the others.
 
-    Nothing is said of sweeps of one plane.
+    Sweeps of one plane are not checked.
 
     Parameters
     ----------
     scans : list of Scan
         As recorded.
     config : LocalCloudConfig, optional
-        How the sensor is mounted, and what is near.
+        Mount of the sensor, and range of its own body.
     posed : bool
-        Whether the scans' poses are known, so that queries are gathered from several.
+        True if the scans have poses, so that queries are accumulated.
     """
     config = config or LocalCloudConfig()
-    whole = [scan for scan in scans if len(scan) >= _FEWEST_POINTS]
+    whole = [scan for scan in scans if len(scan) >= _MIN_POINTS]
     if not whole or geometry.in_one_plane(max((scan.points for scan in whole), key=len)):
         return []
     for find in (_unit_or_frame, _axes):
@@ -108,21 +108,21 @@ def scan_findings(
 
 
 def _mounted(scan: Scan, config: LocalCloudConfig) -> Float32:
-    """The points as on a base that stands level."""
+    """Return the points in the frame of a level base."""
     up = Accumulator(config).level(scan)
     return np.asarray(scan.points @ geometry.upright(up)[:3, :3].T, dtype=np.float32)
 
 
 def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
-    """Millimetres, or points that are not around the sensor."""
+    """Detect millimetres, and points that do not surround the sensor."""
     far = [is_far_blob(points) for points in clouds]
     if np.mean(far) > 0.5:
         middle = float(np.median([np.linalg.norm(np.median(p, axis=0)) for p in clouds]))
         return Finding(
             Fault.WORLD_COORDINATES,
-            f"the sensor is at no plausible place: all points lie to one side, {middle:.0f} m off, "
-            "as points in world coordinates do",
-            "take them back into the sensor's frame, by T_world_sensor^-1",
+            f"the sensor is outside its own points: all lie to one side, {middle:.0f} m off, as "
+            "points in world coordinates do",
+            "transform them into the sensor's frame, by T_world_sensor^-1",
         )
     reach = median(median_range(points) for points in clouds)
     if reach > BEYOND_M:
@@ -136,7 +136,7 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
 
 
 def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
-    """Millimetres or centimetres, by how far below the sensor the ground lies, or by the ranges."""
+    """Return millimetres or centimetres, by the sensor's height above ground, or by the ranges."""
     for fault, count in _SMALL_UNITS:
         found = [floors(np.asarray(points / count, dtype=np.float32)) for points in clouds]
         heights = [each.metres[2, 0] for each in found if each is not None]
@@ -146,7 +146,7 @@ def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
 
 
 def _axes(clouds: list[Float32]) -> Finding | None:
-    """Axes of which z is not the one that points up."""
+    """Detect axes with z not up, by floors."""
     found = [each for points in clouds if (each := floors(points)) is not None]
     if not found:
         return _beams_about(clouds)
@@ -156,7 +156,7 @@ def _axes(clouds: list[Float32]) -> Finding | None:
     other = max(shares[axis, 1 - side], shares[2].max() if axis != 2 else 0.0)
     if (axis, side) == (2, 0):
         return None
-    if share < _GROUND or other > _LITTLE * share or np.nanmedian(metres) > _LOW_M:
+    if share < _MIN_FLOOR or other > _MAX_GROUND * share or np.nanmedian(metres) > _LOW_M:
         return _beams_about(clouds)
     if (axis, side) == (2, 1) and any(_looks_up(points) for points in clouds):
         return _CEILING
@@ -164,7 +164,7 @@ def _axes(clouds: list[Float32]) -> Finding | None:
 
 
 def _beams_about(clouds: list[Float32]) -> Finding | None:
-    """Axes of which z is not the one that the beams turn about: where floors do not tell."""
+    """Detect axes with z not the axis of the beams, if floors are inconclusive."""
     axes = [beam_axis(points) for points in clouds]
     axis = int(median(axes))
     if axis == 2 or axes.count(axis) <= len(axes) / 2:
@@ -172,7 +172,7 @@ def _beams_about(clouds: list[Float32]) -> Finding | None:
     what = f"the beams turn about the {'xy'[axis]} axis, not about z"
     if axis == 1:
         return _camera_axes(what)
-    return Finding(Fault.TILT, what, "name how it is mounted, `local_cloud: {mount: ...}`")
+    return Finding(Fault.TILT, what, "set how it is mounted, `local_cloud: {mount: ...}`")
 
 
 def _camera_axes(what: str) -> Finding:
@@ -184,15 +184,15 @@ def _camera_axes(what: str) -> Finding:
 
 
 def _looks_up(points: Float32) -> bool:
-    """Whether a sensor looks so steeply up that what is flat above it may be a ceiling."""
+    """Return whether a sensor looks up so steeply that surfaces above it may be a ceiling."""
     steep = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     return bool(np.percentile(steep, 98) > np.radians(_STEEP_DEG))
 
 
 _CEILING = Finding(
     Fault.Z_DOWN,
-    "most of what is flat lies above the sensor",
-    "a ceiling; or z points down, and the signs of y and z are to be changed",
+    "most flat surfaces lie above the sensor",
+    "a ceiling; or z points down: then change the signs of y and z",
     wrong=False,
 )
 
@@ -205,35 +205,35 @@ def _turned(axis: str, sign: str) -> Finding:
     if (axis, sign) == ("y", "+"):
         return _camera_axes(what)
     what = f"{what}, not towards -z: the sensor is tilted by about 90 degrees"
-    return Finding(Fault.TILT, what, "name how it is mounted, `local_cloud: {mount: ...}`")
+    return Finding(Fault.TILT, what, "set how it is mounted, `local_cloud: {mount: ...}`")
 
 
 def _beams(scans: Sequence[Scan], posed: bool) -> Finding | None:
-    """Few beams, of which a single scan shows little."""
+    """Detect few beams, of which a single scan shows little."""
     found = signature(max((scan.points for scan in scans), key=len))
     if posed or found is None or not 4 <= found.beams <= _FEW_BEAMS:
         return None
     return Finding(
         Fault.FEW_BEAMS,
         f"{found.beams} beams and no poses: a single scan shows little",
-        "with --odometry or --poses FILE queries are accumulated from several, and found far more "
-        "often",
+        "with --odometry or --poses FILE queries are accumulated from several scans, and found "
+        "far more often",
         wrong=False,
     )
 
 
 def _nothing_stands(scans: Sequence[Scan], config: LocalCloudConfig) -> Finding | None:
-    """Scans of ground alone."""
+    """Detect scans of ground only."""
     accumulator, segmenter = Accumulator(config), Segmenter()
     scenes = [segmenter.segment(accumulator.gather(scan)) for scan in scans[:: 1 + len(scans) // 6]]
     count = median(len(scene.segments) for scene in scenes)
     standing = median(_standing(scene) for scene in scenes)
-    if count >= _FEWEST_SEGMENTS or standing > _STANDING:
+    if count >= _MIN_SEGMENTS or standing > _STANDING:
         return None
     return Finding(
         Fault.ONLY_GROUND,
-        f"nothing but ground in view: {standing:.1%} of the points stand above it",
-        "record where something stands: localization needs walls, trunks, poles, cars",
+        f"nothing but ground in view: {standing:.1%} of the points are above it",
+        "record where there are walls, trunks, poles or cars: localization needs them",
     )
 
 

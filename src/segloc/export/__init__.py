@@ -1,4 +1,4 @@
-"""Maps and results in the formats of others."""
+"""Export maps and results to formats of other software."""
 
 from .formats import FORMATS as FORMATS
 from .formats import export as export

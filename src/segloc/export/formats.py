@@ -1,4 +1,4 @@
-"""Export formats: which sources each accepts, and how it is written."""
+"""Export formats, their sources and writers."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from ..system.checks import checked_pose
 from ..system.files import checked_target, replacing, write_text
 from ..types import Float32, Float64, Int64
 from .nav2 import GridOptions, write_nav2
-from .sources import AlignedSource, FoundSource, MapSource, opened
+from .sources import AlignedSource, FoundSource, MapSource, open_source
 from .tracks import Place, write_geojson, write_tum_files
 
 _ANY = (MapSource, FoundSource, AlignedSource)
 FLOAT32_M = 16_384.0
-"""Farther from the origin, float32 coordinates are in steps of more than a millimetre."""
+"""Distance from the origin beyond which float32 is coarser than a millimetre."""
 AUTOWARE_FOLDER, AUTOWARE_METADATA = "pointcloud_map.pcd", "pointcloud_map_metadata.yaml"
 
 
 @dataclass(frozen=True)
 class Options:
-    """What single formats can be told.
+    """Options of single formats.
 
     Attributes
     ----------
     tile_m : float
-        Edge of Autoware's tiles, metres.
+        Edge of Autoware's tiles [m].
     epsg : int or None
-        Frame that GeoJSON names.
+        Frame named in GeoJSON.
     place : Place or None
-        Where the map's origin lies on the globe, for GeoJSON.
+        Place of the map's origin on the globe, for GeoJSON.
     grid : GridOptions
         For Nav2.
     """
@@ -54,18 +54,18 @@ class Options:
 
 @dataclass(frozen=True)
 class Format:
-    """A format of others.
+    """An export format.
 
     Attributes
     ----------
     of : tuple of type
-        The sources that it can be made of.
+        Types of sources it accepts.
     text : str
-        What is written, for people.
+        Description.
     write : callable
-        Writes a source to a path by options; gives what is to be noted.
+        Writes a source to a path with options; returns notes.
     folder : bool
-        Whether it is a folder rather than a file.
+        True if the output is a folder.
     """
 
     of: tuple[type, ...]
@@ -74,7 +74,7 @@ class Format:
     folder: bool = False
 
     @property
-    def needs(self) -> str:
+    def required(self) -> str:
         return " or ".join(kind.what for kind in self.of)  # type: ignore[attr-defined]
 
 
@@ -118,36 +118,36 @@ FORMATS = {
 
 
 def export(path: str | Path, to: str, out: str | Path, options: Options | None = None) -> list[str]:
-    """Write a map or results in a format of others.
+    """Export a map or results to another format.
 
     Parameters
     ----------
     path : path
-        A map, or the folder that `segloc localize`, `live` or `align` wrote.
+        A map, or the output folder of `segloc localize`, `live` or `align`.
     to : str
         One of :data:`FORMATS`.
     out : path
-        The file, or for Autoware the folder, to write.
+        File or, for Autoware, Nav2 and several sessions, folder to write.
     options : Options, optional
 
     Returns
     -------
     list of str
-        What the user should know of it, a line each.
+        Notes for the user, one line each.
 
     Raises
     ------
     ConfigError
-        If there is no such format, or it cannot be made of that.
+        If the format is unknown, or does not accept this source.
     SeglocError
-        If it cannot be read or written.
+        If the source cannot be read or the output cannot be written.
     """
     form = FORMATS.get(to)
     if form is None:
-        raise ConfigError(f"--to {to}: there is {', '.join(FORMATS)}")
-    source = opened(Path(path))
+        raise ConfigError(f"--to {to}: unknown format; supported: {', '.join(FORMATS)}")
+    source = open_source(Path(path))
     if not isinstance(source, form.of):
-        raise ConfigError(f"{path}: --to {to} needs {form.needs}, and this is {source.what}")
+        raise ConfigError(f"{path}: --to {to} needs {form.required}, and this is {source.what}")
     target = Path(out)
     if not form.folder and not (to == "tum" and isinstance(source, AlignedSource)):
         checked_target(target)
@@ -155,7 +155,7 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
 
 
 def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
-    """Write LAZ with a resolution of 1 mm, wherever the map lies."""
+    """Write LAZ with a resolution of 1 mm."""
     data = format_laz(_points(prior_map), offset=np.round(prior_map.origin))
     with replacing(out) as stream:
         stream.write(data)
@@ -165,13 +165,13 @@ def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
 def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]:
     """Write the folder of Autoware's map loader: square tiles along x and y, and their list.
 
-    Each tile is named by its lower corner, which is a multiple of ``tile_m``.
+    Each tile is named by its lower corner, a multiple of ``tile_m``.
     """
     points, notes = _near_origin(prior_map)
     folder = out / AUTOWARE_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     if leftover := next(folder.iterdir(), None):
-        raise SeglocError(f"{folder}: holds {leftover.name} already: name a new folder")
+        raise SeglocError(f"{folder}: contains {leftover.name}: choose a new folder")
     corners = np.floor(points[:, :2].astype(np.float64) / tile_m).astype(np.int64)
     order = np.lexsort((corners[:, 0], corners[:, 1]))
     starts = np.flatnonzero(np.diff(corners[order], axis=0, prepend=np.nan).any(axis=1))
@@ -195,23 +195,23 @@ def _written(prior_map: SegmentMap, out: Path, form: Callable[[Float32], bytes])
 
 def _points(prior_map: SegmentMap) -> Float64:
     if not len(prior_map.cloud):
-        raise SeglocError("the map has no cloud: there is nothing to write")
+        raise SeglocError("nothing to export: the map has no cloud")
     return prior_map.cloud.astype(np.float64) + prior_map.origin
 
 
 def _near_origin(prior_map: SegmentMap) -> tuple[Float32, list[str]]:
-    """Points as float32; far from zero, relative to the map's origin."""
+    """Return points as float32, relative to the map's origin if far from zero."""
     points = _points(prior_map)
     if np.abs(points).max() <= FLOAT32_M:
         return points.astype(np.float32), []
     origin = np.round(prior_map.origin)
     x, y, z = (f"{value:.0f}" for value in origin)
-    said = f"coordinates are less ({x}, {y}, {z}): as they are, float32 would not tell them apart"
-    return (points - origin).astype(np.float32), [said]
+    note = f"coordinates are shifted by -({x}, {y}, {z}): too large for float32"
+    return (points - origin).astype(np.float32), [note]
 
 
 def write_loops(source: AlignedSource, out: Path) -> list[str]:
-    """Write the accepted loops, one JSON object a line."""
+    """Write the accepted loops, one JSON object per line."""
     lines = [json.dumps(loop, allow_nan=False) + "\n" for loop in _accepted(source)]
     write_text(out, "".join(lines))
     return []
@@ -220,7 +220,7 @@ def write_loops(source: AlignedSource, out: Path) -> list[str]:
 def write_g2o(source: AlignedSource, out: Path) -> list[str]:
     """Write all scans as vertices, odometry and accepted loops as edges.
 
-    Vertices are numbered through all sessions; the first of each component is fixed.
+    Vertices are numbered over all sessions; the first of each component is fixed.
     """
     sessions = range(len(source.names))
     tracks = [source.session(k) for k in sessions]
@@ -238,7 +238,7 @@ def _accepted(source: AlignedSource) -> list[dict[str, Any]]:
 
 
 def _odometry(source: AlignedSource, session: int, first: int) -> PoseEdges:
-    """From each scan to the next."""
+    """Return the edges between consecutive scans."""
     poses = source.odometry(session).poses
     numbers = np.arange(first, first + len(poses) - 1, dtype=np.int64)
     T = np.linalg.inv(poses[:-1]) @ poses[1:]
@@ -259,6 +259,6 @@ def _loops(source: AlignedSource, numbers: list[Float64], first: Int64) -> PoseE
             covariance[n] = loop["covariance"]
         except (KeyError, IndexError, TypeError, ValueError, InvalidScan) as error:
             raise DatasetError(
-                f"{source.path}/loops.jsonl: accepted loop {n + 1} is not of these sessions"
+                f"{source.path}/loops.jsonl: accepted loop {n + 1} belongs to no session"
             ) from error
     return PoseEdges(ends["target"], ends["source"], T, covariance)

@@ -1,7 +1,7 @@
-"""Occupancy grids for Nav2: ``map.pgm`` and ``map.yaml`` of a map's cloud, one pair a storey.
+"""Occupancy grids for Nav2: ``map.pgm`` and ``map.yaml`` of a map's cloud, one pair per storey.
 
-The layout is that of nav2_map_server: the first row of the picture is the highest y, the origin
-is the lower left corner, and values from 0 to 255 are occupied, unknown or free by thresholds.
+As in nav2_map_server, the first row of the image has the highest y, the origin is the lower left
+corner, and values from 0 to 255 mean occupied, unknown or free by thresholds.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from ..system.files import replacing, write_text
 from ..types import Float32, Float64
 
 FREE, UNKNOWN, OCCUPIED = 254, 205, 0
-"""Grey values, as nav2_map_saver writes them."""
+"""Grey values of nav2_map_saver."""
 _MAX_CELLS = 200_000_000
-_GROUND_REACH_M = 0.5  # the map keeps a point of ground a metre
-_HIGHEST_GROUND_M = 0.1  # above the ground itself
-_MAX_STEP_M, _PASSAGE_M = 5.0, 0.25  # between positions; beside their line
+_GROUND_REACH_M = 0.5  # the map keeps one point of ground per metre
+_MAX_GROUND_M = 0.1  # height of ground points above the ground itself
+_MAX_STEP_M, _PASSAGE_M = 5.0, 0.25  # between positions; free on either side of their line
 Grid = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class GridOptions:
-    """How a map becomes a grid.
+    """Parameters of a grid.
 
     Attributes
     ----------
     resolution_m : float
-        Edge of a cell.
+        Edge of a cell [m].
     low_m, high_m : float
-        Obstacles lie between these heights over ground.
+        Height range of obstacles above ground [m].
     """
 
     resolution_m: float = 0.05
@@ -49,15 +49,15 @@ class GridOptions:
     def __post_init__(self) -> None:
         if not (0.01 <= self.resolution_m <= 5.0 and 0.0 < self.low_m < self.high_m):
             raise ConfigError(
-                f"a grid needs cells of 0.01 to 5 m and a slice of rising heights, not "
+                "a grid needs cells of 0.01 to 5 m and --low below --high, not "
                 f"{self.resolution_m:g} m and {self.low_m:g} to {self.high_m:g} m"
             )
 
 
 def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[str]:
-    """Write ``map.pgm`` and ``map.yaml``; of a building with storeys ``map_0``, ``map_1`` ..."""
+    """Write ``map.pgm`` and ``map.yaml``; ``map_0``, ``map_1``, ... for several storeys."""
     if not len(prior_map.cloud):
-        raise SeglocError("the map has no cloud: there is nothing to write")
+        raise SeglocError("nothing to export: the map has no cloud")
     path = prior_map.trajectory[:, :3, 3] - prior_map.origin
     parts = list(storeys(prior_map.cloud, path))
     notes = []
@@ -76,9 +76,9 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
 def occupancy_grid(
     cloud: Float32, path: Float64, voxel: float, options: GridOptions, driven: Float64
 ) -> tuple[Grid, Float64]:
-    """A grid of a cloud, rows rising with y, and the lower left corner.
+    """Return the grid of a cloud, rows rising with y, and its lower left corner.
 
-    Ground that is seen is free; what stands on it within the slice is occupied.
+    Visible ground is free; points above it within the height range are occupied.
 
     Parameters
     ----------
@@ -86,10 +86,10 @@ def occupancy_grid(
     path : (V, 3) float64
         Viewpoints of the map, in the cloud's frame.
     voxel : float
-        Distance of the cloud's points [m].
+        Spacing of the cloud's points [m].
     options : GridOptions
     driven : (W, 3) float64
-        Positions of the sensor, between which it moved on free ground.
+        Sensor positions, connected by free ground.
     """
     edge = options.resolution_m
     heights = cloud[:, 2] - Ground(cloud, path, SegmentationConfig()).below_cloud
@@ -98,10 +98,10 @@ def occupancy_grid(
     shape = cells[:, 1].max() + 1, cells[:, 0].max() + 1
     if shape[0] * shape[1] > _MAX_CELLS:
         raise ConfigError(
-            f"a grid of {shape[1]} x {shape[0]} cells is too large: use a larger --resolution"
+            f"a grid of {shape[1]} x {shape[0]} cells is too large: increase --resolution"
         )
     obstacle = (heights >= options.low_m) & (heights <= options.high_m)
-    floor = heights < min(options.low_m, _HIGHEST_GROUND_M + voxel)
+    floor = heights < min(options.low_m, _MAX_GROUND_M + voxel)
     free = _marked(cells[floor], shape, _GROUND_REACH_M / edge)
     occupied = _marked(cells[obstacle], shape, 0.5 * voxel / edge)
     grid = np.full(shape, UNKNOWN, np.uint8)
@@ -112,7 +112,7 @@ def occupancy_grid(
 
 
 def _passed(positions: Float64, shape: tuple[int, int], edge: float) -> NDArray[np.bool_]:
-    """Cells that the sensor passed over, on the lines between positions near each other."""
+    """Return the cells that the sensor passed, on lines between consecutive positions."""
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     lines = [
         np.linspace(a, b, 1 + int(np.ceil(step / edge)))
@@ -125,7 +125,7 @@ def _passed(positions: Float64, shape: tuple[int, int], edge: float) -> NDArray[
 
 
 def _marked(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
-    """Cells, and those within a reach of them."""
+    """Mark cells, and those within reach of them."""
     marked = np.zeros(shape, bool)
     marked[cells[:, 1], cells[:, 0]] = True
     for _ in range(round(reach)):

@@ -1,4 +1,4 @@
-"""What can be exported: a map, or the folder that a verb has written."""
+"""Sources of exports: a map, or the output folder of a command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..map.segment_map import SegmentMap
 
 @dataclass(frozen=True)
 class MapSource:
-    """A map.
+    """A map to export.
 
     Attributes
     ----------
@@ -32,18 +32,18 @@ class MapSource:
 
 @dataclass(frozen=True)
 class FoundSource:
-    """What `segloc localize` or `segloc live` wrote.
+    """Results of `segloc localize` or `segloc live`.
 
     Attributes
     ----------
     path : path
-        The folder.
+        Output folder.
     track : Trajectory
-        T_map_sensor by the scans' times, or else by their numbers.
+        T_map_sensor by stamp, or by scan number.
     timed : bool
-        Which of the two.
+        True if by stamp.
     georeference : Georeference or None
-        Of the map, where it had one.
+        Of the map, if it has one.
     """
 
     path: Path
@@ -55,18 +55,18 @@ class FoundSource:
 
 @dataclass(frozen=True)
 class AlignedSource:
-    """What `segloc align` wrote.
+    """Results of `segloc align`.
 
     Attributes
     ----------
     path : path
-        The folder.
+        Output folder.
     names : list of str
-        Of the sessions.
+        Names of the sessions.
     components : list of list of int
-        Sessions that share a frame.
+        Groups of sessions that share a frame.
     noise : (float, float, float)
-        What odometry was taken to err: `odometry_m`, `odometry_deg`, `odometry_scale`.
+        Errors assumed of odometry: `odometry_m`, `odometry_deg`, `odometry_scale`.
     """
 
     path: Path
@@ -76,15 +76,15 @@ class AlignedSource:
     what = "results of `segloc align`"
 
     def session(self, k: int) -> Trajectory:
-        """T_world_sensor of a session, by the scans' numbers."""
+        """Read T_world_sensor of a session, by scan number."""
         return read_trajectory(self.path / f"session_{k}.tum")
 
     def odometry(self, k: int) -> Trajectory:
-        """The same as it came."""
+        """Read T_odom_sensor of a session, by scan number."""
         return read_trajectory(self.path / f"odometry_{k}.tum")
 
     def loops(self) -> Iterator[dict[str, Any]]:
-        """Accepted and rejected ones."""
+        """Read accepted and rejected loops."""
         path = self.path / "loops.jsonl"
         for number, line in enumerate(_read(path).splitlines(), 1):
             yield _parsed(line, f"{path}: line {number}")
@@ -93,15 +93,15 @@ class AlignedSource:
 Source: TypeAlias = MapSource | FoundSource | AlignedSource
 
 
-def opened(path: Path) -> Source:
-    """A map, or the results in a folder, by the files that are there.
+def open_source(path: Path) -> Source:
+    """Open a map, or the results in a folder, by the files in it.
 
     Raises
     ------
     DatasetError
-        If it is neither, or a file of it cannot be read.
+        If it is neither, or a file in it cannot be read.
     MapFormatError
-        If it is a file, and no map.
+        If it is a file, but not a map.
     """
     if not path.is_dir():
         return MapSource(path, SegmentMap.load(path))
@@ -114,13 +114,13 @@ def opened(path: Path) -> Source:
             track = read_trajectory(path / "poses.tum")
             return FoundSource(path, track, timed, _georeference(path))
     raise DatasetError(
-        f"{path}: neither a map nor results: there is no alignment.json, localizations.jsonl or "
+        f"{path}: neither a map nor results: no alignment.json, localizations.jsonl or "
         "states.jsonl in it"
     )
 
 
 def _georeference(path: Path) -> Georeference | None:
-    """What `segloc localize` kept of its map."""
+    """Read the georeference that `segloc localize` stored of its map."""
     file = path / "summary.json"
     kept = _parsed(_read(file), str(file)).get(KEY) if file.is_file() else None
     return None if kept is None else Georeference.of({KEY: json.dumps(kept)})
@@ -135,9 +135,9 @@ def _aligned(path: Path) -> AlignedSource:
         noise = facts["odometry"]
         erred = tuple(float(noise[f"odometry_{key}"]) for key in ("m", "deg", "scale"))
     except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{file}: not as `segloc align` of today writes it: {error}") from error
+        raise DatasetError(f"{file}: not written by this `segloc align`: {error}") from error
     if sorted(k for members in components for k in members) != list(range(len(names))):
-        raise DatasetError(f"{file}: its components are not of its sessions")
+        raise DatasetError(f"{file}: its components do not match its sessions")
     return AlignedSource(path, names, components, (erred[0], erred[1], erred[2]))
 
 

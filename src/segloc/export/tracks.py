@@ -1,4 +1,4 @@
-"""Paths of sensors as TUM files and as GeoJSON."""
+"""Trajectories as TUM files and as GeoJSON."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..types import Float64
 from .sources import AlignedSource, FoundSource, MapSource, Source
 
 BREAK_M = 35.0
-"""Poses farther apart are not joined by a line."""
-UNTIMED = "no times: the first column holds the scans' numbers"
+"""Poses farther apart are not connected by a line."""
+UNTIMED = "no times: the first column is the scan number"
 _EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the origin of a map's frame lies on the globe; its x axis points east.
+    """Place of a map's origin on the globe; its x axis points east.
 
     Attributes
     ----------
@@ -39,23 +39,25 @@ class Place:
 
     @classmethod
     def parse(cls, text: str) -> Place:
-        """From ``LATITUDE,LONGITUDE``.
+        """Parse ``LATITUDE,LONGITUDE``.
 
         Raises
         ------
         ConfigError
-            If it is something else.
+            If the text is invalid.
         """
         try:
             latitude, longitude = (float(part) for part in text.split(","))
         except ValueError as error:
-            raise ConfigError(f"--at {text[:40]!r}: not LATITUDE,LONGITUDE in degrees") from error
+            raise ConfigError(
+                f"--at {text[:40]!r}: expects LATITUDE,LONGITUDE in degrees"
+            ) from error
         if not (abs(latitude) < 89.9 and abs(longitude) <= 180.0):
-            raise ConfigError(f"--at {text[:40]!r}: no place with an east")
+            raise ConfigError(f"--at {text[:40]!r}: outside the globe, or at a pole")
         return cls(latitude, longitude)
 
     def degrees(self, xy: Float64) -> Float64:
-        """Longitude and latitude of (N, 2) metres; good to a centimetre within some kilometres."""
+        """Convert (N, 2) metres to longitude, latitude; accurate to 1 cm within some kilometres."""
         phi = math.radians(self.latitude)
         squared = _FLATTENING * (2.0 - _FLATTENING)
         bent = 1.0 - squared * math.sin(phi) ** 2
@@ -66,16 +68,16 @@ class Place:
 
 
 def tracks(source: Source) -> Iterator[tuple[str, Trajectory, str]]:
-    """Name, path, and a remark on its stamps, of each session."""
+    """Yield name, trajectory, and a remark on its stamps, of each session."""
     if isinstance(source, MapSource):
         poses = source.prior_map.trajectory
         if not len(poses):
-            raise SeglocError(f"{source.path}: the map does not know along which path it was made")
+            raise SeglocError(f"{source.path}: the map has no sensor trajectory")
         numbers = np.arange(len(poses), dtype=np.float64)
         yield source.path.stem, Trajectory(numbers, poses), "a map's poses have no times: numbered"
     elif isinstance(source, FoundSource):
         if not len(source.track):
-            raise SeglocError(f"{source.path}: nothing was localized: there is no path")
+            raise SeglocError(f"{source.path}: no trajectory: no query was localized")
         yield source.path.resolve().name, source.track, "" if source.timed else UNTIMED
     else:
         for k, name in enumerate(source.names):
@@ -83,7 +85,7 @@ def tracks(source: Source) -> Iterator[tuple[str, Trajectory, str]]:
 
 
 def write_tum_files(source: Source, out: Path) -> list[str]:
-    """One file; of several aligned sessions a folder with one file each."""
+    """Write one file; for several aligned sessions a folder with one file each."""
     listed = list(tracks(source))
     if not isinstance(source, AlignedSource) or len(listed) == 1:
         write_tum(out, *listed[0][1:])
@@ -97,11 +99,11 @@ def write_tum_files(source: Source, out: Path) -> list[str]:
 def write_geojson(
     source: Source, out: Path, epsg: int | None = None, place: Place | None = None
 ) -> list[str]:
-    """A feature for each session, its coordinates in degrees, or else as they are.
+    """Write one feature per session, in degrees if possible, else in map coordinates.
 
-    RFC 7946 has no frame but WGS 84. They are in degrees where the map is georeferenced, or by
-    ``place``. Otherwise coordinates are the map's metres, and ``epsg`` names their frame by the
-    member "crs" of GeoJSON 2008, which GDAL and QGIS heed.
+    RFC 7946 requires WGS 84. Coordinates are in degrees if the map is georeferenced, or by
+    ``place``. Otherwise they are the map's metres, and ``epsg`` names their frame in the member
+    "crs" of GeoJSON 2008, which GDAL and QGIS support.
     """
     if epsg is not None and place is not None:
         raise ConfigError("--epsg and --at exclude each other")
@@ -113,12 +115,12 @@ def write_geojson(
         document = {"type": "FeatureCollection", "crs": crs, "features": features}
     write_text(out, json.dumps(document, allow_nan=False) + "\n")
     if epsg is None and place is None and globe is None:
-        return ["coordinates are the map's metres: --at LAT,LON or --epsg N puts them on a globe"]
+        return ["coordinates are the map's metres: --at LAT,LON or --epsg N georeferences them"]
     return []
 
 
 def _georeference(source: Source) -> Georeference | None:
-    """Where a map says that it lies, or what was localized in one."""
+    """Return the georeference of a map or of the map of results."""
     if isinstance(source, MapSource):
         return Georeference.of(source.prior_map.metadata)
     return source.georeference if isinstance(source, FoundSource) else None
@@ -136,7 +138,7 @@ def _feature(name: str, poses: Float64, place: Place | Georeference | None) -> d
         [[round(float(x), digits), round(float(y), digits), round(float(z), 3)] for x, y, z in part]
         for part in np.split(xyz, np.flatnonzero(steps > BREAK_M) + 1)
     ]
-    lines = [line if len(line) > 1 else line * 2 for line in lines]  # a line has two ends
+    lines = [line if len(line) > 1 else line * 2 for line in lines]  # a line needs two points
     geometry = {"type": "MultiLineString", "coordinates": lines}
     properties = {"name": name, "poses": len(poses)}
     return {"type": "Feature", "properties": properties, "geometry": geometry}

@@ -1,4 +1,4 @@
-"""One query through every stage: what was found, how sure, and why: words and pictures."""
+"""Explain queries stage by stage, in text, pictures and a viewer."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from ..system import lazy
 from .trace import Part as Part
 from .trace import Trace as Trace
 from .trace import steps as steps
+from .trace import summarize as summarize
 from .trace import trace as trace
-from .trace import verdict as verdict
 
 if TYPE_CHECKING:
     from .pictures import DARK as DARK

@@ -1,4 +1,4 @@
-"""What ``segloc live`` leaves behind, while it runs and after: where the robot was, how sure."""
+"""Read the output of ``segloc live``, during and after a run: poses and states by scan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from .pictures import GREEN, ORANGE, PATH, RED, rgb
 from .scene import MapScene
 
 STATES, SO_FAR, NEWEST = "states.jsonl", "so_far.jsonl", "newest.npy"
-"""All states once it is done; until then those so far, and what stands in the newest scan."""
+"""All states of a finished run; during a run the states so far, and above-ground points of the
+newest scan."""
 COLOURS = {
     "lost": rgb(RED),
     "candidate": rgb(ORANGE),
@@ -23,12 +24,12 @@ COLOURS = {
     "localized": rgb(GREEN),
 }
 _ABOVE_M = 1.0
-_MOST_POINTS = 100_000
+_MAX_POINTS = 100_000
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What was said when a scan was taken.
+    """State at one scan.
 
     Attributes
     ----------
@@ -36,31 +37,31 @@ class Moment:
         Number of the scan.
     state : str
         lost, candidate, localized or degraded.
-    said : str
-        In Markdown.
+    text : str
+        Description in Markdown.
     T_map_base : (4, 4) float64 or None
     """
 
     index: int
     state: str
-    said: str
+    text: str
     T_map_base: Pose | None
 
 
 def follows(folder: Path) -> bool:
-    """Whether a folder is one of ``segloc live``."""
+    """Return whether a folder is the output of ``segloc live``."""
     return (folder / STATES).is_file() or (folder / SO_FAR).is_file()
 
 
 def read_moments(folder: Path) -> list[Moment]:
-    """All that was said so far; a last line that is being written is left out.
+    """Read the states so far, except an incomplete last line.
 
     Raises
     ------
     SeglocError
-        If it is no such folder, or a line is damaged.
+        If it is another kind of folder, or a line is damaged.
     """
-    for name in (SO_FAR, STATES, SO_FAR):  # the first gives way to the second at the end
+    for name in (SO_FAR, STATES, SO_FAR):  # STATES replaces SO_FAR at the end of a run
         file = folder / name
         try:
             lines = file.read_text("utf-8").split("\n")[:-1]
@@ -77,32 +78,32 @@ def _moment(file: Path, number: int, line: str) -> Moment:
         record = json.loads(line)
         pose, state = record["T_map_base"], str(record["state"])
         T = None if pose is None else np.array(pose, dtype=np.float64).reshape(4, 4)
-        said = (
-            f"**scan {int(record['index'])}: {state}**\n\n{record['reason'] or 'no doubt'}\n\n"
+        text = (
+            f"**scan {int(record['index'])}: {state}**\n\n{record['reason'] or 'no problems'}\n\n"
             f"- confidence {float(record['confidence']):.2f}\n"
             f"- {int(record['views'])} views agree\n"
             f"- {float(record['travelled_m']):.1f} m travelled"
         )
         if record["latency_ms"] is not None:
-            said += f"\n- said after {float(record['latency_ms']):.0f} ms"
-        return Moment(int(record["index"]), state, said, T)
+            text += f"\n- after {float(record['latency_ms']):.0f} ms"
+        return Moment(int(record["index"]), state, text, T)
     except (ValueError, KeyError, TypeError) as error:
         raise SeglocError(f"{file}: line {number}: damaged ({error})") from error
 
 
 def newest_points(folder: Path) -> Float64 | None:
-    """What stands in the newest scan, (N, 3), in the map's frame; None where nothing is kept."""
+    """Return above-ground points of the newest scan (N, 3), map frame; None if not stored."""
     try:
         points = np.load(folder / NEWEST, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) > _MOST_POINTS:
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) > _MAX_POINTS:
         return None
     return np.asarray(points, dtype=np.float64)
 
 
 def draw_moments(scene: MapScene, moments: Sequence[Moment], points: Float64 | None = None) -> None:
-    """The robot's path so far by state, where it is now, and what it sees, in place of before."""
+    """Draw the robot's trajectory by state, its pose and the newest scan."""
     scene.clear("robot")
     placed = [(m.T_map_base, m.state) for m in moments if m.T_map_base is not None]
     if not placed:

@@ -1,4 +1,4 @@
-"""A trace as one HTML file that needs nothing else."""
+"""Render a trace as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Pose
 from .pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
-from .trace import Trace, steps, verdict
+from .trace import Trace, steps, summarize
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ _SIZE_IN, _DPI = 6.0, 100
 
 
 def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
-    """HTML with the verdict, each stage in words and pictures, and the parts of the confidence.
+    """Return HTML with the result, each stage in text and pictures, and parts of the confidence.
 
     Raises
     ------
@@ -58,10 +58,10 @@ def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(trace.name)}</title>"
         f"<style>{_STYLE}</style><h1>{escape(trace.name)}</h1>"
-        f'<p class="{kind}">{escape(verdict(trace))}</p>{noted}'
+        f'<p class="{kind}">{escape(summarize(trace))}</p>{noted}'
         f"<h2>Stage by stage</h2>{_table(steps(trace))}"
         f'<div class="pictures">{figures}</div>'
-        f"<h2>What the confidence is made of</h2>{_table(parts, 'number')}</html>"
+        f"<h2>Parts of the confidence</h2>{_table(parts, 'number')}</html>"
     )
 
 
@@ -74,7 +74,7 @@ def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
 
 
 def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
-    """A caption and a PNG image for each stage that there is something to be seen of.
+    """Return a caption and a PNG image for each stage with something to show.
 
     Raises
     ------
@@ -82,15 +82,14 @@ def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
         If matplotlib is not installed.
     """
     drawn: list[tuple[str, Callable[[Axes], None]]] = [
-        ("Ground, in grey, and what stands on it", lambda axes: _ground(axes, trace)),
-        ("Segments, each in a colour of its own", lambda axes: _segments(axes, trace)),
+        ("Ground (grey) and above-ground points", lambda axes: _ground(axes, trace)),
+        ("Segments by colour", lambda axes: _segments(axes, trace)),
     ]
     if trace.T_map_local is not None:
         T = trace.T_map_local
         drawn += [
             (
-                "Matches: from each segment, where the best pose puts it, to the map's; those that "
-                "agree are green",
+                "Matches, from segments at the best pose to segments of the map; inliers are green",
                 lambda axes: _matches(axes, trace, T, prior_map),
             ),
             (
@@ -98,7 +97,7 @@ def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
                 lambda axes: _placed(axes, trace, T, prior_map),
             ),
             (
-                "Overlap: what lies on the map is green, what does not is red",
+                "Overlap: points on the map are green, others red",
                 lambda axes: _overlap(axes, trace, T, prior_map),
             ),
         ]

@@ -1,4 +1,4 @@
-"""The one look of all pictures: colours, a ground plan, a scale; and pictures without a window."""
+"""Common style of all pictures: colours, ground plans, scale bars; drawn without a window."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GREEN, RED, ORANGE, BLUE = "#12a150", "#e5243b", "#f0883e", "#2e62d6"
-"""What is right, what is false, the query or what is refused, and the truth."""
+"""Correct; false; query or rejected; truth."""
 DARK, PATH, GREY, PALE = "#3f4756", "#7d8aa0", "#c3c9d4", "#e6e9ef"
-"""Text; paths and frames; the map; what hardly counts."""
+"""Text; trajectories and axes; map; background."""
 PALETTE = (
     "#3b7dd8", "#e0702b", "#2a9d5c", "#c43d5d", "#8a63c9",
     "#b08d1f", "#1fa3a8", "#d65fb2", "#7d8794", "#6b8e23",
 )  # fmt: skip
-"""Of series, one after another."""
+"""Colours of series."""
 TITLE_PT, TEXT_PT, SMALL_PT = 13.0, 9.0, 8.0
 
 _ROUND = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -30,17 +30,17 @@ _GOLDEN = 0.381966
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """A colour as three numbers, 0 to 255."""
+    """Convert a colour to three numbers from 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def hue(k: int) -> float:
-    """The hue of the k-th of many things, in [0, 1): far from that of the ones before."""
+    """Return the hue of the k-th item, in [0, 1), distinct from those before."""
     return (_GOLDEN * k) % 1.0
 
 
 def blank(size_in: tuple[float, float], dpi: int, **options: Any) -> Figure:
-    """An empty white picture of so many inches; ``options`` are those of matplotlib's ``Figure``.
+    """Create an empty white figure [inches]; ``options`` are passed to matplotlib's ``Figure``.
 
     Raises
     ------
@@ -58,14 +58,14 @@ def blank(size_in: tuple[float, float], dpi: int, **options: Any) -> Figure:
 
 
 def png(figure: Figure, description: str = "") -> bytes:
-    """A PNG image, the same for the same picture; the description is kept in it as text."""
-    image, said = io.BytesIO(), {"Description": description} if description else {}
-    figure.savefig(image, format="png", metadata={"Software": None, **said})
+    """Return a reproducible PNG image with a description in its metadata."""
+    image, metadata = io.BytesIO(), {"Description": description} if description else {}
+    figure.savefig(image, format="png", metadata={"Software": None, **metadata})
     return image.getvalue()
 
 
 def plan(axes: Axes, low: Any, high: Any) -> None:
-    """Make axes a ground plan without a frame, from one corner to the other, metres."""
+    """Set up axes as a ground plan without a frame, from corner to corner [m]."""
     axes.set_axis_off()
     axes.set_aspect("equal")
     axes.set_xlim(low[0], high[0])
@@ -73,7 +73,7 @@ def plan(axes: Axes, low: Any, high: Any) -> None:
 
 
 def chart(axes: Axes, xlabel: str = "", ylabel: str = "") -> None:
-    """Make axes a quiet chart."""
+    """Set up axes of a plain chart."""
     axes.spines[["top", "right"]].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color(PATH)
@@ -85,12 +85,12 @@ def chart(axes: Axes, xlabel: str = "", ylabel: str = "") -> None:
 
 
 def title(figure: Figure, text: str, y: float = 0.975) -> None:
-    """A heading at the upper left."""
+    """Add a heading at the upper left."""
     figure.text(0.02, y, text, fontsize=TITLE_PT, fontweight="bold", color=DARK, va="center")
 
 
 def legend(axes: Axes, **place: Any) -> None:
-    """What means what, upper right if nothing else is said."""
+    """Add a legend, by default at the upper right."""
     axes.legend(
         **{"loc": "upper right", "borderpad": 0.8, **place},
         frameon=True, framealpha=0.9, edgecolor="none", fontsize=TEXT_PT, labelcolor=DARK,
@@ -98,12 +98,12 @@ def legend(axes: Axes, **place: Any) -> None:
 
 
 def dots(axes: Axes, points: Any, **style: Any) -> None:
-    """Points from above, (N, 2 or more)."""
+    """Draw points (N, 2 or more) from above."""
     axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
 
 
 def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
-    """Many points from above as shades of grey: one image, however many there are."""
+    """Draw the density of points from above as one grey image."""
     if not len(points):
         return
     cell = max(0.3, float((high - low).max()) / _CELLS_ALONG)
@@ -125,7 +125,7 @@ def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
 
 
 def scale(axes: Axes) -> None:
-    """A bar of a round length at the lower left of a ground plan."""
+    """Draw a scale bar of a round length at the lower left of a ground plan."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     length = max((step for step in _ROUND if step <= (right - left) / 5), default=1)
     margin = 0.02 * max(right - left, high - low)

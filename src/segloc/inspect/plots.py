@@ -1,4 +1,4 @@
-"""A map, and an answer on it, in axes of matplotlib."""
+"""Draw a map, and a result on it, in matplotlib axes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MARGIN_M = 5.0
-_ARROW = 0.05  # of the width of the picture: the length of a heading
+_ARROW = 0.05  # length of a heading, as a share of the picture's width
 
 
 def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
-    """Draw a map from above: its points in grey, and the path of the sensor.
+    """Draw a map from above: points in grey, and the trajectory.
 
     Raises
     ------
@@ -32,14 +32,14 @@ def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
     way = prior_map.trajectory[:, :2, 3]
     low, high = _extent(np.concatenate([points, way, prior_map.centroids[:, :2]]))
     density(axes, points, low, high)
-    axes.plot(*way.T, color=PATH, lw=1.0, label="path of the map")
+    axes.plot(*way.T, color=PATH, lw=1.0, label="trajectory of the map")
     plan(axes, low, high)
     scale(axes)
     return axes
 
 
 def plot_result(result: Localization, prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
-    """Draw an answer on its map: the pose with its heading, and the runner-up as a cross.
+    """Draw a result on its map: the pose with its heading, and other places as crosses.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Queries of a results folder, with their stages if `segloc localize --debug` kept them."""
+"""Read the queries of a results folder, with stages if `segloc localize --debug` stored them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from ..errors import SeglocError
 from ..types import Float32, Int64, Pose
-from .trace import Trace, steps, verdict
+from .trace import Trace, steps, summarize
 
 Outcome = Literal["found", "refused", "false"]
 DEBUG = "debug"
-"""The folder in it of what ``--debug`` keeps, one file a query."""
+"""Subfolder of stored stages, one file per query."""
 _VOXEL_M = 0.3
-_STEP_M = 0.01  # positions are kept as whole numbers of it
-_MOST_BYTES = 64_000_000
+_STEP_M = 0.01  # unit of stored positions
+_MAX_BYTES = 64_000_000
 _SIGNS = ("+", "-")
 _DAMAGE = (
     ValueError,
@@ -41,35 +41,35 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class Shown:
-    """One query of a folder of results.
+    """One query of a results folder.
 
     Attributes
     ----------
     index : int
     outcome : "found", "refused" or "false"
-        "false" only where the truth is known.
-    said : str
-        The pose or the reason, in one line.
+        "false" only if the truth is known.
+    text : str
+        Pose or reason, in one line.
     T_map_sensor : (4, 4) float64 or None
-        Where it was localized.
-    seen : Seen or None
-        Stage by stage, where it was kept.
+        None if it was not localized.
+    stages : Stages or None
+        Stage by stage, if stored.
     """
 
     index: int
     outcome: Outcome
-    said: str
+    text: str
     T_map_sensor: Pose | None
-    seen: Seen | None
+    stages: Stages | None
 
 
 def read_results(folder: Path) -> list[Shown]:
-    """All queries of a folder of results.
+    """Read all queries of a results folder.
 
     Raises
     ------
     SeglocError
-        If it is no such folder, or a file in it is damaged.
+        If it is another kind of folder, or a file in it is damaged.
     """
     file = folder / "localizations.jsonl"
     try:
@@ -89,48 +89,48 @@ def _shown(folder: Path, file: Path, number: int, line: str) -> Shown:
     except (ValueError, KeyError, TypeError) as error:
         raise SeglocError(f"{file}: line {number}: damaged ({error})") from error
     outcome: Outcome = "refused" if T is None else "false" if correct is False else "found"
-    kept = folder / DEBUG / f"{index}.npz"
+    stored = folder / DEBUG / f"{index}.npz"
     return Shown(
         index,
         outcome,
         f"{message or 'localized'} (confidence {confidence:.2f})",
         T,
-        unpacked(kept.read_bytes(), str(kept)) if kept.is_file() else None,
+        unpack(stored.read_bytes(), str(stored)) if stored.is_file() else None,
     )
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One query, reduced to what a viewer draws.
+class Stages:
+    """Stages of one query, reduced to what a viewer draws.
 
     Attributes
     ----------
     name : str
-    verdict : str
-        In one sentence.
+    summary : str
+        One sentence.
     lines : tuple of str
-        A line a stage, then one for each part of the confidence.
+        One line per stage, then one per part of the confidence.
     localized : bool
     T_map_local : (4, 4) float64 or None
         The best pose, accepted or not.
     T_map_other : (4, 4) float64 or None
-        The runner-up's, of the sensor.
+        Pose of the sensor at the runner-up.
     points : (N, 3) float32
         Above-ground points, thinned, local frame.
     on_map : (N,) bool
-        Which points lie on the map at the best pose.
+        True for points on the map at the best pose.
     segment_points : (M, 3) float32
     segment_of : (M,) int64
         Segment of each point.
     centroids : (K, 3) float32
-        Of the segments that have a match, local frame.
+        Of matched segments, local frame.
     matched : (K,) int64
         Matched segments of the map, by row.
     inliers : (K,) bool
     """
 
     name: str
-    verdict: str
+    summary: str
     lines: tuple[str, ...]
     localized: bool
     T_map_local: Pose | None
@@ -144,29 +144,29 @@ class Seen:
     inliers: NDArray[np.bool_]
 
     @property
-    def stages(self) -> tuple[str, ...]:
-        """The lines of the stages."""
+    def steps(self) -> tuple[str, ...]:
+        """Lines of the stages."""
         return tuple(line for line in self.lines if line[:1] not in _SIGNS)
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The lines of the confidence: log-odds, and what they are of."""
+        """Lines of the confidence: log-odds and their names."""
         return tuple(line for line in self.lines if line[:1] in _SIGNS)
 
 
-def seen(trace: Trace) -> Seen:
+def stages_of(trace: Trace) -> Stages:
     """Reduce a trace to what a viewer draws."""
     parts = [f"{part.log_odds:+.1f} {part.words}" for part in trace.parts]
-    parts = [f"{trace.constant:+.1f} to begin with", *parts] if parts else []
+    parts = [f"{trace.constant:+.1f} prior", *parts] if parts else []
     other = trace.result.places[1] if len(trace.result.places) > 1 else None
     keep = _first_of_each_voxel(trace.structure)
     segments = trace.segments
     owner = np.repeat(np.arange(len(segments)), segments.sizes)
     few = _first_of_each_voxel(segments.points)
-    return Seen(
+    return Stages(
         name=trace.name,
-        verdict=verdict(trace),
-        lines=(*(f"{name}: {said}" for name, said in steps(trace)), *parts),
+        summary=summarize(trace),
+        lines=(*(f"{name}: {text}" for name, text in steps(trace)), *parts),
         localized=trace.result.localized,
         T_map_local=trace.T_map_local,
         T_map_other=None if other is None else other.T_map_sensor,
@@ -189,11 +189,11 @@ def _first_of_each_voxel(points: Float32) -> Int64:
 _POINTS = ("points", "segment_points", "centroids")
 
 
-def packed(query: Seen) -> bytes:
-    """Serialize a query into few bytes; deterministic."""
-    said = {
+def pack(query: Stages) -> bytes:
+    """Serialize the stages of a query compactly; reproducible."""
+    entries = {
         "name": query.name,
-        "verdict": query.verdict,
+        "verdict": query.summary,
         "lines": query.lines,
         "localized": query.localized,
         "T_map_local": None if query.T_map_local is None else query.T_map_local.tolist(),
@@ -205,14 +205,14 @@ def packed(query: Seen) -> bytes:
     }
     arrays |= {"on_map": np.packbits(query.on_map), "inliers": np.packbits(query.inliers)}
     arrays |= {name: getattr(query, name).astype(np.int32) for name in ("segment_of", "matched")}
-    text = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    text = np.frombuffer(json.dumps(entries).encode(), np.uint8)
     file = io.BytesIO()
     np.savez_compressed(file, said=text, **arrays)
     return file.getvalue()
 
 
-def unpacked(data: bytes, where: str) -> Seen:
-    """Read what :func:`packed` wrote.
+def unpack(data: bytes, where: str) -> Stages:
+    """Read the output of :func:`pack`.
 
     Raises
     ------
@@ -221,19 +221,19 @@ def unpacked(data: bytes, where: str) -> Seen:
     """
     try:
         with ZipFile(io.BytesIO(data)) as listed:
-            if sum(each.file_size for each in listed.infolist()) > _MOST_BYTES:
+            if sum(each.file_size for each in listed.infolist()) > _MAX_BYTES:
                 raise ValueError("too large")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        said = json.loads(arrays["said"].tobytes())
+        entries = json.loads(arrays["said"].tobytes())
         points = {name: arrays[name].reshape(-1, 3) * np.float32(_STEP_M) for name in _POINTS}
-        query = Seen(
-            name=str(said["name"]),
-            verdict=str(said["verdict"]),
-            lines=tuple(map(str, said["lines"])),
-            localized=bool(said["localized"]),
-            T_map_local=_pose(said["T_map_local"]),
-            T_map_other=_pose(said["T_map_other"]),
+        query = Stages(
+            name=str(entries["name"]),
+            summary=str(entries["verdict"]),
+            lines=tuple(map(str, entries["lines"])),
+            localized=bool(entries["localized"]),
+            T_map_local=_pose(entries["T_map_local"]),
+            T_map_other=_pose(entries["T_map_other"]),
             on_map=_bits(arrays["on_map"], len(points["points"])),
             inliers=_bits(arrays["inliers"], len(points["centroids"])),
             segment_of=arrays["segment_of"].astype(np.int64),

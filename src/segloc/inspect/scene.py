@@ -1,4 +1,4 @@
-"""A map, the answers to queries and one of them in detail, as a scene of viser's."""
+"""Draw a map, queries and one query in detail as a scene of viser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float32, Float64
 from .pictures import BLUE, GREEN, ORANGE, PATH, RED, hue, rgb
-from .results import Outcome, Seen, Shown
+from .results import Outcome, Shown, Stages
 
 Colors = NDArray[np.uint8]
 
@@ -25,17 +25,17 @@ COLORS: dict[Outcome, tuple[int, int, int]] = {
 FIXED = ("map", "path", "queries")
 ROBOT = ("map", "path", "robot")
 OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-up", "text")
-"""Layers that can be hidden: of the map, of a map with a robot, of the query that is looked at."""
+"""Layers that can be hidden: of the map, of a map with a robot, of the selected query."""
 _GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
-_MOST_POINTS = 400_000
-_BREAK_M = 35.0  # poses farther apart are not joined
-_MARKER_M = 0.4  # points larger than this mark something
-_ABOVE_M = 3.0  # of markers over the path
+_MAX_POINTS = 400_000
+_BREAK_M = 35.0  # poses farther apart are not connected
+_MARKER_M = 0.4  # points larger than this are markers
+_ABOVE_M = 3.0  # height of markers above the trajectory
 
 
 class SceneApi(Protocol):
-    """What is asked of viser's scene."""
+    """Part of viser's scene that is used."""
 
     def add_point_cloud(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
     def add_line_segments(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
@@ -43,7 +43,7 @@ class SceneApi(Protocol):
 
 
 class MapScene:
-    """Draws a map, and queries on it; coordinates are the map's, less its origin.
+    """Draw a map and queries, relative to the map's origin.
 
     Parameters
     ----------
@@ -57,24 +57,24 @@ class MapScene:
         self._hidden: set[str] = set()
 
     def show(self, layer: str, visible: bool) -> None:
-        """Show or hide a layer; it stays so."""
+        """Show or hide a layer permanently."""
         (self._hidden.discard if visible else self._hidden.add)(layer)
         for handle in self.layers[layer]:
             handle.visible = visible
 
     def clear(self, layer: str) -> None:
-        """Remove what is drawn in a layer."""
+        """Remove a layer's contents."""
         for handle in self.layers[layer]:
             handle.remove()
         self.layers[layer] = []
 
     def local(self, points: Any) -> Float32:
-        """Points of the map's frame in that of the scene."""
+        """Convert points from the map's frame to the scene's."""
         return np.asarray(points - self._map.origin, dtype=np.float32)
 
     def draw_map(self) -> None:
-        """The cloud by height, the segments' centroids, and the path."""
-        cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MOST_POINTS]
+        """Draw the cloud by height, the segments' centroids, and the trajectory."""
+        cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MAX_POINTS]
         if len(cloud):
             self.points("map", "/map/cloud", cloud, _by_height(cloud), 0.12)
         path = (self._map.trajectory[:, :3, 3] - self._map.origin).astype(np.float32)
@@ -83,7 +83,7 @@ class MapScene:
         self.lines("path", "/map/path", pairs[near], np.array(_BLUE), 0.25)
 
     def draw_queries(self, queries: Sequence[Shown]) -> None:
-        """A marker each, by outcome; those that are refused where the best pose was, if kept."""
+        """Draw a marker per query by outcome; rejected ones at the best pose, if stored."""
         for outcome, color in COLORS.items():
             places = [
                 place
@@ -97,12 +97,12 @@ class MapScene:
 
     def _place(self, query: Shown) -> Float64 | None:
         T = query.T_map_sensor
-        if T is None and query.seen is not None:
-            T = query.seen.T_map_local
+        if T is None and query.stages is not None:
+            T = query.stages.T_map_local
         return None if T is None else np.asarray(T[:3, 3] - self._map.origin)
 
     def middle(self, query: Shown | None) -> Float64:
-        """Where to look: at a query, or else at the middle of the map."""
+        """Return the point to look at: a query, or the middle of the map."""
         place = None if query is None else self._place(query)
         if place is not None:
             return place
@@ -110,50 +110,50 @@ class MapScene:
         return np.median(cloud, axis=0).astype(np.float64) if len(cloud) else np.zeros(3)
 
     def draw_query(self, query: Shown) -> None:
-        """One query in place of another: cloud, segments, matches, runner-up, and its outcome."""
+        """Draw one query: cloud, segments, matches, runner-up, and outcome."""
         for layer in OF_QUERY:
             self.clear(layer)
         at = self.middle(query) + [0.0, 0.0, 3.0 * _ABOVE_M]
         text = f"{query.index}: {query.outcome}"  # the panel has the rest
         label = self._api.add_label("/query/label", text, position=tuple(at))
         self._keep("text", label)
-        if query.seen is not None and query.seen.T_map_local is not None:
-            self._draw_seen(query.seen)
+        if query.stages is not None and query.stages.T_map_local is not None:
+            self._draw_stages(query.stages)
 
-    def _draw_seen(self, seen: Seen) -> None:
-        T = seen.T_map_local
+    def _draw_stages(self, stages: Stages) -> None:
+        T = stages.T_map_local
         assert T is not None
 
         def placed(points: Float32) -> Float32:
             return (geometry.transform(T, points) - self._map.origin).astype(np.float32)
 
-        off = ~seen.on_map
+        off = ~stages.on_map
         red = np.tile(np.array(_RED, np.uint8), (int(off.sum()), 1))
-        self.points("cloud", "/query/off_map", placed(seen.points[off]), red, 0.18)
+        self.points("cloud", "/query/off_map", placed(stages.points[off]), red, 0.18)
         green = np.tile(np.array(_GREEN, np.uint8), (int((~off).sum()), 1))
-        self.points("cloud", "/query/on_map", placed(seen.points[~off]), green, 0.18)
-        lifted = placed(seen.segment_points)
-        self.points("segments", "/query/segments", lifted, _distinct(seen.segment_of), 0.26)
-        known = seen.matched < len(self._map.centroids)
-        there = (self._map.centroids[seen.matched[known]] - self._map.origin).astype(np.float32)
-        lines = np.stack([placed(seen.centroids[known]), there], axis=1)
-        fits = seen.inliers[known]
+        self.points("cloud", "/query/on_map", placed(stages.points[~off]), green, 0.18)
+        lifted = placed(stages.segment_points)
+        self.points("segments", "/query/segments", lifted, _distinct(stages.segment_of), 0.26)
+        known = stages.matched < len(self._map.centroids)
+        there = (self._map.centroids[stages.matched[known]] - self._map.origin).astype(np.float32)
+        lines = np.stack([placed(stages.centroids[known]), there], axis=1)
+        fits = stages.inliers[known]
         self.lines("other matches", "/query/other_matches", lines[~fits], np.array(_GREY), 0.04)
         lines = lines.copy()
-        lines[:, 0, 2] += 6.0  # nearly upright: so that matches that agree can be seen
+        lines[:, 0, 2] += 6.0  # nearly upright, so that inliers stand out
         self.lines("matches that agree", "/query/inliers", lines[fits], np.array(_GREEN), 0.3)
-        if seen.T_map_other is not None:
-            other = (seen.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
+        if stages.T_map_other is not None:
+            other = (stages.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
             red_one = np.array([_RED], np.uint8)
             self.points("runner-up", "/query/runner_up", other, red_one, 1.5)
             name = "/query/runner_up_label"
             self._keep("runner-up", self._api.add_label(name, "runner-up", position=other[0]))
 
     def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
-        """Add points, (N, 3), in the scene's frame, to a layer."""
+        """Add points (N, 3) in the scene's frame to a layer."""
         if len(points):
-            # In random order, so that a part is the whole of it, thinner. Half a float would put
-            # points half a metre off a kilometre away.
+            # In random order, so that any part is a thinned cloud. Half floats would be half a
+            # metre off at a distance of one kilometre.
             mixed = np.random.default_rng(0).permutation(len(points))
             style: dict[str, Any] = {
                 "point_size": size,
@@ -168,7 +168,7 @@ class MapScene:
     def lines(
         self, layer: str, name: str, lines: Float32, color: NDArray[Any], width: float
     ) -> None:
-        """Add lines, (N, 2, 3), in the scene's frame, to a layer."""
+        """Add lines (N, 2, 3) in the scene's frame to a layer."""
         if len(lines):
             colors = np.broadcast_to(color.astype(np.uint8), (len(lines), 2, 3)).copy()
             handle = self._api.add_line_segments(name, lines, colors, thickness=width)
@@ -186,7 +186,7 @@ def _by_height(points: Float32) -> Colors:
 
 
 def _distinct(owners: NDArray[np.int64]) -> Colors:
-    """A colour for each segment, neighbours apart."""
+    """Return a colour per segment, distinct for neighbours."""
     count = int(owners.max()) + 1 if len(owners) else 0
     wheel = [colorsys.hsv_to_rgb(hue(k), 0.75, 0.9) for k in range(count)]
     return (255 * np.array(wheel).reshape(-1, 3)).astype(np.uint8)[owners]

@@ -1,4 +1,4 @@
-"""What each stage made of one query, kept for showing it."""
+"""Trace of one query: the result of each stage."""
 
 from __future__ import annotations
 
@@ -23,19 +23,7 @@ from ..types import Float32, Int64, LocalCloud, Pose, Segments
 
 Bools = NDArray[np.bool_]
 
-_BEYOND_M = 2.0  # around a query, of the map's points that it is compared with
-_ADVICE = {
-    Reason.NO_POINTS: "no point within range: are they in metres, in the sensor's frame?",
-    Reason.UNKNOWN_ATTITUDE: "roll and pitch are unknown: give gravity or a pose",
-    Reason.NO_SEGMENTS: "nothing above the ground is in view; drive on and accumulate scans",
-    Reason.NO_MATCHES: "the map has no segments to compare with",
-    Reason.NO_CONSISTENT_MATCHES: "no two segments lie to each other as any two of the map do: "
-    "the place is not in the map, or too little of it is in view",
-    Reason.NOT_IN_MAP: "nothing in the map fits: the scan is probably from somewhere else or sees "
-    "too little",
-    Reason.AMBIGUOUS: "two places explain the scan about as well: more scans of the way tell them "
-    "apart (poses, or a tracker), or a look from elsewhere",
-}
+_BEYOND_M = 2.0  # margin of map points around a query
 
 
 @dataclass(frozen=True)
@@ -45,11 +33,11 @@ class Part:
     Attributes
     ----------
     name : str
-        As the confidence model has it.
+        Name in the model.
     log_odds : float
-        What it adds to the log-odds of the pose being right.
+        Contribution to the log-odds of the pose.
     words : str
-        What was measured, and what of it at the best different place.
+        Measured value, and that of the best other place.
     """
 
     name: str
@@ -59,7 +47,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Trace:
-    """One query, stage by stage. Points are in the local frame, float32, metres.
+    """One query, stage by stage. Points are in the local frame, float32 [m].
 
     Attributes
     ----------
@@ -67,21 +55,21 @@ class Trace:
     result : Localization
     T_local_sensor : (4, 4) float64
     ground, structure : (G, 3), (S, 3) float32
-        The cloud, thinned: what was taken for ground, and what stands on it.
+        Thinned cloud: ground, and points above it.
     segments : Segments
     pairs : (K, 2) int64
-        The best match of each segment that has one, the one that fits the pose where one does: its
-        row, and that of the map's segment.
+        One match per matched segment, an inlier if there is one: its row, and that of the map's
+        segment.
     inliers : (K,) bool
         Which of them fit the best pose.
     T_map_local : (4, 4) float64 or None
-        The best pose, believed or not.
+        The best pose, accepted or not.
     on_map : (S,) bool
-        Which points of the structure have a point of the map near them there.
+        Which points of the structure have a map point nearby at the best pose.
     constant : float
-        The log-odds that the parts are added to.
+        Prior log-odds, to which the parts are added.
     parts : tuple of Part
-        Empty where nothing was compared.
+        Empty if no pose was scored.
     """
 
     name: str
@@ -105,7 +93,7 @@ def trace(
     times: StageTimes | None = None,
     near: Prior | None = None,
 ) -> Trace:
-    """Localize a local cloud, as :meth:`Localizer.localize` does, and keep what each stage made."""
+    """Localize a local cloud like :meth:`Localizer.localize`, and return the stages."""
     times = times or StageTimes(localizer.clock)
     query = localizer.in_one_piece().describe(cloud, times)
     found = localizer.search(query, times, near=near)
@@ -133,7 +121,7 @@ def trace(
 def _pairs(
     localizer: Localizer, query: Query, found: Search, T_map_local: Pose | None
 ) -> tuple[Int64, Bools]:
-    """One match of each segment, and whether it fits the pose."""
+    """Return one match per segment, and whether it fits the pose."""
     matches, config = found.matches, localizer.config.pose
     if not len(matches):
         return np.empty((0, 2), np.int64), np.empty(0, bool)
@@ -143,14 +131,14 @@ def _pairs(
         x, y, z = (localizer.prior_map.centroids[matches.map] - centroids[matches.query]).T
         fits = x**2 + y**2 < config.inlier_tolerance**2
         fits &= np.abs(z) < config.height_tolerance
-    order = np.lexsort((np.arange(len(matches)), ~fits))  # those that fit, then best first
+    order = np.lexsort((np.arange(len(matches)), ~fits))  # inliers first, then by quality
     _, first = np.unique(matches.query[order], return_index=True)
     chosen = order[first]
     return np.stack([matches.query[chosen], matches.map[chosen]], axis=1), fits[chosen]
 
 
 def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> Bools:
-    """Which points of a query lie on the map's cloud at a pose."""
+    """Return which points of a query lie on the map's cloud at a pose."""
     prior_map = localizer.prior_map
     if T_map_local is None or not len(points) or not len(prior_map.cloud):
         return np.zeros(len(points), dtype=bool)
@@ -165,7 +153,7 @@ def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> 
 
 
 def _parts(model: Model, found: Search) -> tuple[Part, ...]:
-    """What each feature of the likeliest place adds to its log-ratio."""
+    """Return the contribution of each feature to the log-ratio of the most probable place."""
     best = found.posterior.best
     assert best is not None
     fit = next(fit for fit in found.fits if fit.T_map_local is best.T_map_local)
@@ -177,24 +165,24 @@ def _parts(model: Model, found: Search) -> tuple[Part, ...]:
 
 
 def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]:
-    """What each feature was measured of."""
-    seen = "nothing of the map is in view"
+    """Describe the measurement behind each feature."""
+    seen = "no map points in view"
     if (share := fit.seen.share) is not None:
-        seen = f"{share:.0%} of the map in view is seen"
+        seen = f"{share:.0%} of the map points in view are seen"
     flush, ground, free = (
         "no walls to compare",
         "no ground to compare",
         "free space was not compared",
     )
     if (share := fit.flush.share) is not None:
-        flush = f"{share:.0%} of the walls is flush with the map's"
+        flush = f"{share:.0%} of the wall points are on the map's walls"
     if (share := fit.ground.share) is not None:
         ground = f"{share:.0%} of the ground lies on the map's ground"
     if fit.has("intruding") and (share := fit.intruding.share) is not None:
-        free = f"{share:.1%} of what stands is where the map is free"
+        free = f"{share:.1%} of the above-ground points are in free space of the map"
     lies = f"{fit.overlap:.0%} of the cloud lies on the map"
     return {
-        "in_view": f"{fit.seen.of} points of the map are in view",
+        "in_view": f"{fit.seen.of} map points in view",
         "flush": flush,
         "inliers_over_rival": f"{fit.inliers} segments, elsewhere "
         f"{max([0, *(other.inliers for other in others)])}",
@@ -208,11 +196,11 @@ def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]
 
 def _elsewhere(shares: Sequence[float | None]) -> str:
     known = [share for share in shares if share is not None]
-    return f"{max(known):.0%} elsewhere" if known else "elsewhere nothing to compare it with"
+    return f"{max(known):.0%} elsewhere" if known else "nothing to compare elsewhere"
 
 
 def steps(trace: Trace) -> list[tuple[str, str]]:
-    """Name and outcome of each stage."""
+    """Return name and outcome of each stage."""
     result, sizes = trace.result, trace.segments.sizes
     counts = result.counts
     tilt = math.degrees(math.acos(float(np.clip(trace.T_local_sensor[2, 2], -1.0, 1.0))))
@@ -220,7 +208,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
     scans = counted(counts["scans"], "scans")
     found = [
         ("cloud", f"{counts['points']} points of {scans}; tilt {tilt:.1f} deg, {result.attitude}"),
-        ("ground", f"{len(trace.structure)} voxels stand above the ground"),
+        ("ground", f"{len(trace.structure)} voxels above the ground"),
         ("segments", f"{counts['segments']}{smallest}"),
         ("matches", f"{counts['matches']} candidate matches with segments of the map"),
         ("poses", _poses(trace)),
@@ -246,15 +234,15 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
 def _poses(trace: Trace) -> str:
     count = trace.result.counts["candidates"]
     if not count or trace.T_map_local is None:
-        return "no pose on which matches agree"
+        return "no pose with agreeing matches"
     x, y, z = trace.T_map_local[:3, 3]
     agree = counted(trace.result.inliers, "segments", "agree")
     best = f"best at {x:.1f}, {y:.1f}, {z:.1f} m, proposed by {trace.result.proposer}: {agree}"
     return f"{counted(count, 'candidates')}; {best}"
 
 
-def verdict(trace: Trace) -> str:
-    """One sentence on the answer, and on what would help where there is no pose."""
+def summarize(trace: Trace) -> str:
+    """Return one sentence on the result, with advice if there is no pose."""
     result = trace.result
     if result.localized:
         x, y, z = result.T_map_sensor[:3, 3]
@@ -264,13 +252,14 @@ def verdict(trace: Trace) -> str:
             f"yaw {yaw:.1f} deg (confidence {result.confidence:.2f})"
         )
     assert result.reason is not None
-    advice = _ADVICE.get(result.reason) or _uncertain(trace)
-    return f"not localized, {result.message}: {advice}"
+    if result.reason is Reason.TOO_UNCERTAIN:
+        return f"not localized, {result.message}: {_uncertain(trace)}"
+    return f"not localized, {result.message}: {result.reason.likely_cause}; {result.reason.remedy}"
 
 
 def _uncertain(trace: Trace) -> str:
-    """What to make of a best pose that is not believed."""
+    """Return advice on a best pose that was not accepted."""
     if not trace.parts:
-        return "too little speaks for any pose"
+        return "the evidence for any pose is too weak"
     least = min(trace.parts, key=lambda part: part.log_odds)
-    return f"a place may fit, but more scans of the way must tell; weakest is: {least.words}"
+    return f"a place may fit; accumulate more scans. The weakest part is: {least.words}"

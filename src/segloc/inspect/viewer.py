@@ -1,4 +1,4 @@
-"""A map and queries in the browser: by a server with a panel, or as one file with a slider."""
+"""View a map and queries in the browser: by a server with a panel, or one file with a slider."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ _STYLE = Template("""
 #segloc small { display: block; border-top: 1px solid #0002; margin-top: .5em; padding-top: .4em }
 </style>
 """).substitute(dark=DARK)
-# The page's player shows each query for some seconds: its slider tells the time, and its field
-# takes one.
+# The page's player shows each query for some seconds; its slider and its field hold the time.
 _PANEL = Template("""
 <div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
 <b>confidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
@@ -100,8 +99,8 @@ _PANEL = Template("""
 })();
 </script>
 """)
-# Edges of points need no smoothing. It takes most of the time where a processor draws: without it
-# 200 000 points are drawn two to three times as fast.
+# Points need no anti-aliasing. Without it 200 000 points are drawn two to three times as fast by a
+# processor.
 _SHARP = """
 (() => {
   const get = HTMLCanvasElement.prototype.getContext;
@@ -112,9 +111,8 @@ _SHARP = """
 })();
 """
 
-# While the view moves, as many points as are drawn in time; all once it rests. How long they take
-# is measured by a fence, so a GPU always draws all. Points come in random order: any part of a
-# cloud is the whole of it, thinner.
+# While the view moves, draw as many points as time allows, then all of them. A fence measures the
+# time, so a GPU always draws all. Points come in random order, so any part is a thinned cloud.
 _THINNED = """
 (() => {
   if (window.thinsWhatMoves) return;
@@ -149,9 +147,9 @@ _THINNED = """
 
 
 def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
-    """One self-contained page: the map with all queries, and one after another in detail.
+    """Return one self-contained page: the map with all queries, and a slider for details.
 
-    Its slider goes over the queries of which stages were kept, or else over all.
+    The slider covers the queries with stored stages, or else all.
 
     Raises
     ------
@@ -177,12 +175,12 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
 
 
 def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
-    """Start a server on this machine alone, with a panel to choose queries and layers by.
+    """Start a server on this machine only, with a panel to choose queries and layers.
 
     Returns
     -------
     viser.ViserServer
-        Which runs in threads of its own until it is stopped.
+        Runs in its own threads until it is stopped.
 
     Raises
     ------
@@ -198,25 +196,25 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
     scene.draw_queries(queries)
     if shown:
         _add_choice(server, scene, shown)
-    detailed = any(query.seen is not None for query in shown)
+    detailed = any(query.stages is not None for query in shown)
     _add_layers(server, scene, (*FIXED, *OF_QUERY) if detailed else FIXED)
     return server
 
 
 def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
-    """Start a server that shows where the robot of ``segloc live --out`` is, as it is written.
+    """Start a server that follows the robot of ``segloc live --out``.
 
     Returns
     -------
     viser.ViserServer
-        Which runs in threads of its own until it is stopped.
+        Runs in its own threads until it is stopped.
 
     Raises
     ------
     MissingDependency
         If viser is not installed.
     SeglocError
-        If the port is in use, or the folder is none of ``segloc live``.
+        If the port is in use, or the folder is not an output of ``segloc live``.
     """
     read_moments(folder)
     server = _server("127.0.0.1", port)
@@ -234,7 +232,7 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
         shown[:] = [len(moments)]
         with server.atomic():
             draw_moments(scene, moments, newest_points(folder))
-        text.content = moments[-1].said if moments else "nothing said yet"
+        text.content = moments[-1].text if moments else "no results yet"
 
     refresh()
     Thread(target=_keep_on, args=(server, refresh), daemon=True).start()
@@ -246,14 +244,14 @@ def _keep_on(server: Any, refresh: Callable[[], None]) -> None:
         time.sleep(_EVERY_S)
         try:
             refresh()
-        except SeglocError:  # between one file and the next
+        except SeglocError:  # between two files
             continue
-        except RuntimeError:  # the server is stopped
+        except RuntimeError:  # the server was stopped
             return
 
 
 def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
-    """One self-contained page: the map, and where the robot was.
+    """Return one self-contained page: the map, and the robot's trajectory.
 
     Raises
     ------
@@ -272,7 +270,7 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
 
 
 def _map_in_view(server: Any, prior_map: SegmentMap, query: Shown | None = None) -> MapScene:
-    """The map drawn, and looked at where a query is."""
+    """Draw the map, and point the camera at a query."""
     scene = MapScene(server.scene, prior_map)
     _look(server, scene, query)
     scene.draw_map()
@@ -312,25 +310,25 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
 
 
 def described(query: Shown) -> str:
-    """Markdown of one query: its outcome and its verdict."""
-    said = query.said if query.seen is None else query.seen.verdict
-    return f"**{query.index}: {query.outcome}**\n\n{said}"
+    """Describe one query in Markdown: its outcome and summary."""
+    text = query.text if query.stages is None else query.stages.summary
+    return f"**{query.index}: {query.outcome}**\n\n{text}"
 
 
 def stages(query: Shown) -> str:
-    """Markdown of one query: a line for each stage, and for each part of the confidence."""
-    if query.seen is None:
+    """Describe one query in Markdown: stages, and parts of the confidence."""
+    if query.stages is None:
         return ""
-    lines = [f"- {line}" for line in query.seen.stages]
-    if query.seen.parts:
+    lines = [f"- {line}" for line in query.stages.steps]
+    if query.stages.parts:
         lines += ["", "confidence, in log-odds", ""]
-        lines += [f"- {line}" for line in query.seen.parts]
+        lines += [f"- {line}" for line in query.stages.parts]
     return "\n".join(lines)
 
 
 def _in_detail(queries: Sequence[Shown]) -> list[Shown]:
-    """Those that something was kept of; all where nothing was."""
-    return [query for query in queries if query.seen is not None] or list(queries)
+    """Return the queries with stored stages, or all if there are none."""
+    return [query for query in queries if query.stages is not None] or list(queries)
 
 
 def _look(server: Any, scene: MapScene, query: Shown | None) -> None:
@@ -340,7 +338,7 @@ def _look(server: Any, scene: MapScene, query: Shown | None) -> None:
 
 
 def _look_at_all(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
-    """From where all queries are in view."""
+    """Return a camera position with all queries in view."""
     _look(server, scene, queries[0] if queries else None)
     if len(queries) < 2:
         return
@@ -353,7 +351,7 @@ def _look_at_all(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None
 
 
 def _from(scene: MapScene, query: Shown | None) -> tuple[Float64, Float64]:
-    """Where the camera is, and what it looks at."""
+    """Return the camera's position and target."""
     middle = scene.middle(query)
     return middle + np.array([0.0, -_BACK_M, _UP_M]), middle
 
@@ -364,41 +362,41 @@ def _server(host: str, port: int) -> Any:
     except ImportError as error:
         raise MissingDependency("viser", "view", "viewing") from error
     try:
-        with redirect_stdout(StringIO()):  # it greets, even if told not to
+        with redirect_stdout(StringIO()):  # it prints even in quiet mode
             return viser.ViserServer(host=host, port=port, verbose=False)
     except OSError as error:
         raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
 
 
 def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
-    """A page of viser's player with a panel, for queries that are shown so many seconds each."""
-    told = [
+    """Add a panel to a page of viser's player, with queries shown for ``seconds`` each."""
+    records = [
         {
             "index": query.index,
             "outcome": query.outcome,
             "colour": _COLOURS[query.outcome],
-            "said": query.said if seen is None else seen.verdict,
-            "stages": [] if seen is None else [line.split(": ", 1) for line in seen.stages],
-            "parts": [] if seen is None else [line.split(" ", 1) for line in seen.parts],
+            "said": query.text if shown is None else shown.summary,
+            "stages": [] if shown is None else [line.split(": ", 1) for line in shown.steps],
+            "parts": [] if shown is None else [line.split(" ", 1) for line in shown.parts],
         }
         for query in queries
-        for seen in (query.seen,)
+        for shown in (query.stages,)
     ]
-    text = json.dumps(told).replace("<", "\\u003c")  # no name of a query ends the script
+    text = json.dumps(records).replace("<", "\\u003c")  # escape the end of the script
     panel = _PANEL.substitute(queries=text, seconds=seconds, legend=LEGEND)
     return _with(page, panel)
 
 
 def with_states(page: str, states: Sequence[str]) -> str:
-    """A page of where a robot was, with how often it was in which state."""
+    """Add counts of states to a page of a robot."""
     rows = "".join(
         f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
         for state, count in Counter(states).most_common()
     )
-    told = (
+    counts = (
         f"<b>{counted(len(states), 'scans')}</b><table>{rows}</table><small>{ROBOT_LEGEND}</small>"
     )
-    return _with(page, f'<div id="segloc">{told}</div>')
+    return _with(page, f'<div id="segloc">{counts}</div>')
 
 
 def _with(page: str, panel: str) -> str:

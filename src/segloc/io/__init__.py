@@ -1,4 +1,4 @@
-"""Reading and writing point clouds and trajectories."""
+"""Read and write point clouds and trajectories."""
 
 from .scans import read_scan as read_scan
 from .scans import write_scan as write_scan

@@ -1,4 +1,4 @@
-"""What the readers share: header lines and counts, columns over bytes, and the way to a Scan."""
+"""Helpers of the readers: header lines, counts, columns over bytes, and conversion to a Scan."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from ..system.budget import check_points
 from ..types import Scan
 
 TIME_NAMES = frozenset({"t", "time", "timestamp", "time_stamp"})
-"""Fields that hold a point's time."""
+"""Names of fields with point times."""
 
-_LONGEST_HEADER = 1 << 20
-_MOST_DIGITS = 18  # any such number fits an int64
+_MAX_HEADER = 1 << 20
+_MAX_DIGITS = 18  # any such number fits an int64
 
 
 def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
-    """The words of each line, and where the next line starts; ends after 1 MiB."""
+    """Yield the words of each line and the start of the next line, up to 1 MiB."""
     start = 0
-    while (end := data.find(b"\n", start, _LONGEST_HEADER)) >= 0:
+    while (end := data.find(b"\n", start, _MAX_HEADER)) >= 0:
         yield data[start:end].decode("ascii", "replace").split(), end + 1
         start = end + 1
 
 
 def one_line(error: object) -> str:
-    """What an error from elsewhere says, fit to stand in a message of one line."""
+    """Return an error's text on one line of at most 120 characters."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 @contextmanager
 def faults_of(where: object) -> Iterator[None]:
-    """Name the file in a DatasetError about its content, or where memory runs out."""
+    """Prefix DatasetErrors with the file's name; report lack of memory as one."""
     try:
         yield
     except DatasetError as error:
@@ -48,55 +48,54 @@ def faults_of(where: object) -> Iterator[None]:
 
 
 def parse_count(word: str, what: str) -> int:
-    """A number of things from a header.
+    """Parse a count of a header.
 
-    Raise DatasetError if it is not a whole number of 0 or more, or one beyond all reason.
+    Raise DatasetError if it is negative, not whole or implausibly large.
     """
-    if not (word.isascii() and word.isdigit() and len(word) <= _MOST_DIGITS):
+    if not (word.isascii() and word.isdigit() and len(word) <= _MAX_DIGITS):
         raise DatasetError(f"{what} is {word[:40]!r}, not a whole number")
     return int(word)
 
 
 def require_bytes(available: int, needed: int, what: str) -> None:
-    """Refuse a header that promises more than there is, before anything is allocated."""
+    """Reject a header whose declared size exceeds the data, before allocation."""
     if needed > available:
-        raise DatasetError(f"{what} need {needed} bytes, but only {max(available, 0)} are left")
+        raise DatasetError(f"{what} need {needed} bytes, only {max(available, 0)} are left")
 
 
 def column(
     data: bytes | NDArray[np.uint8], dtype: DTypeLike, count: int, start: int, stride: int
 ) -> NDArray[Any]:
-    """``count`` values, ``stride`` bytes apart, as a view of ``data``."""
+    """Return ``count`` values, ``stride`` bytes apart, as a view of ``data``."""
     return np.ndarray((count,), dtype, data, start, (stride,)) if count else np.empty(0, dtype)
 
 
 def wanted_columns(names: Sequence[str]) -> list[int]:
-    """Positions of x, y and z, and of the first field that holds a time where there is one.
+    """Return the positions of x, y and z, and of the first field with times, if any.
 
-    Capital letters do where there are no small ones.
+    Upper-case names are used if there are no lower-case ones.
 
-    Raise DatasetError if x, y or z is missing or there twice.
+    Raise DatasetError if x, y or z is missing or duplicated.
     """
     chosen = []
     for axis in "xyz":
         name = axis if axis in names else axis.upper()
         if (found := names.count(name)) != 1:
-            raise DatasetError(f"there are {found} fields named {axis}" if found else f"no {axis}")
+            raise DatasetError(f"{found} fields named {axis}" if found else f"no field {axis}")
         chosen.append(names.index(name))
     time = [position for position, name in enumerate(names) if name.lower() in TIME_NAMES]
     return chosen + time[:1]
 
 
 def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | None = None) -> Scan:
-    """A scan of the columns x, y, z and, where there is a fourth, the points' times.
+    """Build a scan from columns x, y, z and optional point times.
 
     columns: 3 or 4 arrays (N,) of any number type
-    nanoseconds: whether the times are nanoseconds; by default they are where their type is an
-      integer
+    nanoseconds: True if times are nanoseconds; by default true for integer types
     """
     check_points(len(columns[0]))
     points = np.empty((len(columns[0]), 3), dtype=np.float32)
-    with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which a Scan drops
+    with np.errstate(all="ignore"):  # beyond float32: inf, which Scan drops
         for axis in range(3):
             points[:, axis] = columns[axis]
         if len(columns) == 3:
@@ -109,20 +108,20 @@ def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | No
 
 @dataclass(frozen=True)
 class PointLayout:
-    """Where x, y and z stand in a file whose points all have one size.
+    """Position of x, y and z in a file of points of equal size.
 
     Attributes
     ----------
     count : int
         Number of points.
     start : int
-        First byte of the points.
+        Offset of the points.
     columns : (int, int, int)
-        First bytes of x, y and z in a point; in a text their columns.
+        Offsets of x, y and z in a point; in a text file their columns.
     dtypes : tuple of dtype
         Of x, y and z.
     stride : int
-        Bytes of a point.
+        Bytes per point.
     text : bool
     """
 

@@ -1,4 +1,4 @@
-"""Pose graphs as g2o reads them (R. Kümmerle et al., "g2o: A General Framework for Graph
+"""Pose graphs in g2o format (R. Kümmerle et al., "g2o: A General Framework for Graph
 Optimization", ICRA 2011; https://github.com/RainerKuemmerle/g2o/wiki/File-format-slam-3d)."""
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from ..types import Float64, Int64
 
 @dataclass(frozen=True)
 class PoseEdges:
-    """E measured relative poses."""
+    """Measured relative poses of E edges."""
 
-    first: Int64  # (E,) poses by number
+    first: Int64  # (E,) pose numbers
     second: Int64  # (E,)
     T: Float64  # (E, 4, 4) T_first_second
-    # (E, 6, 6) of rotation (rad), then translation (m), in the frame of ``second``
+    # (E, 6, 6) of rotation [rad], then translation [m], in the frame of ``second``
     covariance: Float64
 
 
@@ -27,14 +27,12 @@ _UPPER = np.triu_indices(6)
 
 
 def g2o_information(covariance: Float64) -> Float64:
-    """The information matrix of an EDGE_SE3:QUAT.
+    """Return the information matrix of an EDGE_SE3:QUAT, (6, 6) float64.
 
     Its order is x, y, z, then the vector part of the unit quaternion, which is half of a small
     rotation vector. Both orders are of errors in the frame of the second pose.
 
-    covariance: (6, 6) of rotation (rad), then translation (m)
-
-    Return (6, 6) float64.
+    covariance: (6, 6) of rotation [rad], then translation [m]
     """
     order = np.array([3, 4, 5, 0, 1, 2])
     information = np.linalg.inv(covariance)[np.ix_(order, order)]
@@ -44,10 +42,10 @@ def g2o_information(covariance: Float64) -> Float64:
 
 
 def format_g2o(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int] = ()) -> str:
-    """A file of VERTEX_SE3:QUAT, FIX and EDGE_SE3:QUAT lines.
+    """Format VERTEX_SE3:QUAT, FIX and EDGE_SE3:QUAT lines.
 
-    poses: (N, 4, 4) the first estimates, numbered from 0
-    fixed: poses that an optimisation is to leave where they are
+    poses: (N, 4, 4) initial estimates, numbered from 0
+    fixed: poses that the optimiser must keep
     """
     return "".join(_lines(poses, edges, fixed))
 
@@ -65,7 +63,7 @@ def _lines(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int]) -> 
 
 
 def _rows(poses: Float64) -> Float64:
-    """x y z qx qy qz qw, with qw >= 0."""
+    """Return rows x y z qx qy qz qw, with qw >= 0."""
     if not len(poses):
         return np.empty((0, 7))
     quaternions = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()

@@ -1,4 +1,4 @@
-"""ASPRS ``.las`` and ``.laz``, by laspy."""
+"""Read and write ASPRS ``.las`` and ``.laz`` with laspy."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     import laspy
 
 _POINTWISE_CHUNKED, _LAYERED_CHUNKED = 2, 3
-_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}  # of items, by their type
-_BYTE10, _BYTE14 = 0, 14  # items of any size: extra bytes
-_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of items; _BYTE14 has one for each byte
+_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}  # bytes of items by type
+_BYTE10, _BYTE14 = 0, 14  # items of variable size: extra bytes
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # per item; _BYTE14 has one per byte
 
 
 def check_chunks(data: bytes, points_start: int, points: int, record_size: int, vlr: bytes) -> None:
-    """Check the sizes in the chunk table and in front of each chunk against the file's length.
+    """Check the sizes in the chunk table and before each chunk against the file's length.
 
     data: the whole file
-    points_start: where the points start, at most ``len(data)``
-    points: how many the header announces
-    record_size: bytes of a point
-    vlr: the record "laszip encoded", which says how the points are compressed
+    points_start: offset of the points, at most ``len(data)``
+    points: number declared in the header
+    record_size: bytes per point
+    vlr: the record "laszip encoded", which defines the compression
 
-    Raise DatasetError if they do not fit, or the compression is of an unknown kind.
+    Raise DatasetError if they are inconsistent, or the compression is unknown.
     """
     compressor, items = _parse_vlr(vlr)
     if any(size != _SIZES.get(kind, size) for kind, size in items) or record_size != sum(
         size for _, size in items
     ):
-        raise DatasetError("the compressed points have another size than the header says")
+        raise DatasetError("the size of compressed points differs from the header's")
     chunks = _read_chunk_table(data, points_start, record_size, vlr)
     if sum(count for count, _ in chunks) < points:
         raise DatasetError(f"the compressed chunks hold fewer than {points} points")
@@ -52,36 +52,36 @@ def check_chunks(data: bytes, points_start: int, points: int, record_size: int, 
 
 
 def _parse_vlr(vlr: bytes) -> tuple[int, list[tuple[int, int]]]:
-    """The kind of compressor, and type and size of the items of a point."""
+    """Return the compressor, and type and size of the items of a point."""
     if len(vlr) < 34:
         raise DatasetError("the laszip record is cut off")
     compressor, count = struct.unpack_from("<H", vlr)[0], struct.unpack_from("<H", vlr, 32)[0]
     if compressor not in (_POINTWISE_CHUNKED, _LAYERED_CHUNKED):
-        raise DatasetError(f"points are compressed in the unknown way {compressor}")
+        raise DatasetError(f"unknown compression of points: {compressor}")
     if len(vlr) < 34 + 6 * count:
         raise DatasetError("the laszip record is cut off")
     items = [struct.unpack_from("<HH", vlr, 34 + 6 * i) for i in range(count)]
     if any(kind not in _SIZES and kind not in (_BYTE10, _BYTE14) for kind, _ in items):
-        raise DatasetError("points are made of unknown items")
+        raise DatasetError("points of unknown items")
     return compressor, items
 
 
 def _read_chunk_table(
     data: bytes, points_start: int, record_size: int, vlr: bytes
 ) -> list[tuple[int, int]]:
-    """The most points and the number of bytes of each chunk."""
+    """Return the maximum number of points and the size of each chunk."""
     import lazrs
 
     if points_start + 8 > len(data):
         raise DatasetError("the compressed points are cut off")
     table = struct.unpack_from("<q", data, points_start)[0]
-    if table == -1:  # written as a stream: the offset stands at the end
+    if table == -1:  # written as a stream: the offset is at the end
         table = struct.unpack_from("<q", data, len(data) - 8)[0]
     room = table - points_start - 8
     if room < 0 or table + 8 > len(data):
         raise DatasetError("the table of compressed chunks is cut off")
     if struct.unpack_from("<I", data, table + 4)[0] * record_size > room:
-        raise DatasetError("more compressed chunks are announced than fit")
+        raise DatasetError("more compressed chunks declared than fit the file")
     source = io.BytesIO(data)
     source.seek(points_start)
     chunks: list[tuple[int, int]] = lazrs.read_chunk_table(source, lazrs.LazVlr(vlr))
@@ -91,7 +91,7 @@ def _read_chunk_table(
 
 
 def _check_layers(data: bytes, start: int, size: int, record_size: int, layers: int) -> None:
-    """A chunk is its first point, the number of points, the layers' sizes, then the layers."""
+    """Check a chunk: its first point, the number of points, the layers' sizes, the layers."""
     head = record_size + 4 + 4 * layers
     if (
         head > size
@@ -101,17 +101,17 @@ def _check_layers(data: bytes, start: int, size: int, record_size: int, layers: 
 
 
 RESOLUTION = 0.001
-"""Metres to which written coordinates are rounded."""
+"""Step of written coordinates [m]."""
 
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # of point formats 0 to 10
 _COMPRESSED = 0x80
-_RUST_PANIC = "PanicException"  # of lazrs: no Exception, and no class that could be imported
-_CHUNK = 1 << 18  # points decompressed at a time: no header's count is believed
+_RUST_PANIC = "PanicException"  # of lazrs: neither an Exception nor importable
+_CHUNK = 1 << 18  # points decompressed at a time; the header's count is not trusted
 
 
 @dataclass(frozen=True)
 class _Header:
-    """The part of the public header that laspy takes on trust."""
+    """Values of the public header that laspy does not check."""
 
     points_start: int
     num_vlrs: int
@@ -122,7 +122,7 @@ class _Header:
 
 
 def parse_las(data: bytes) -> Scan:
-    """The points, scaled to metres, and GPS times where any is not zero."""
+    """Parse the points, in metres, and GPS times unless all are zero."""
     header = _parse_header(data)
     if header.points == 0:
         return Scan(np.empty((0, 3), dtype=np.float32))
@@ -141,7 +141,7 @@ def parse_las(data: bytes) -> Scan:
             points, times = _read_points(reader, header.points)
     except DatasetError:
         raise
-    except BaseException as error:  # many kinds come through where bytes are wrong
+    except BaseException as error:  # damaged bytes raise many kinds
         if isinstance(error, MemoryError):
             raise
         if not (isinstance(error, Exception) or type(error).__name__ == _RUST_PANIC):
@@ -151,7 +151,7 @@ def parse_las(data: bytes) -> Scan:
 
 
 def import_laspy(purpose: str) -> Any:
-    """laspy, if it can read compressed files."""
+    """Return laspy, with support for compressed files."""
     try:
         import laspy
         import lazrs  # noqa: F401
@@ -186,11 +186,11 @@ def _check_header(header: _Header, header_size: int, file_size: int) -> None:
         raise DatasetError(f"point records of {header.record_size} bytes are too short")
     needed = header.points * header.record_size
     if not header.compressed and needed > file_size - header.points_start:
-        raise DatasetError(f"{header.points} points need {needed} bytes; the file is cut off")
+        raise DatasetError(f"{header.points} points need {needed} bytes: the file is cut off")
 
 
 def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 | None]:
-    """The points, (count, 3), and the GPS times where any is not zero."""
+    """Return the points, (count, 3), and GPS times unless all are zero."""
     header = reader.header
     timed = "gps_time" in header.point_format.dimension_names
     points = np.empty((count, 3), dtype=np.float32)
@@ -204,30 +204,29 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
             times[rows] = chunk.array["gps_time"]
         done += len(chunk)
     if done != count:
-        raise DatasetError(f"{count} points announced, {done} found")
-    # Most point formats have room for a time whether or not the writer knew one.
+        raise DatasetError(f"{count} points declared, {done} found")
+    # Most point formats have a time field even if the writer knew no time.
     return points, times if times is not None and times.any() else None
 
 
 def format_laz(
     points: Float32 | Float64, times: Float64 | None = None, *, offset: Float64 | None = None
 ) -> bytes:
-    """A LAZ file with coordinates in steps of ``RESOLUTION``, of a format with times if needed.
+    """Format a LAZ file with coordinates in steps of ``RESOLUTION``, with times if given.
 
-    ``offset``, (3,), is near points that lie far from zero, so that their steps are few.
+    ``offset``, (3,), should lie near the points.
 
-    Raise DatasetError if a coordinate is beyond what 32 bits of such steps can hold, about 2147 km
-    from there.
+    Raise DatasetError if a coordinate exceeds 32 bits of such steps, about 2147 km from the offset.
     """
     laspy = import_laspy("writing .laz files")
     origin = np.zeros(3) if offset is None else offset
     steps = np.rint((points.astype(np.float64) - origin) / RESOLUTION)
     if np.abs(steps).max(initial=0) > np.iinfo(np.int32).max:
-        raise DatasetError("coordinates beyond 2147 km do not fit a .laz file")
+        raise DatasetError("coordinates more than 2147 km from the offset do not fit a .laz file")
     header = laspy.LasHeader(version="1.2", point_format=0 if times is None else 1)
     header.scales = np.full(3, RESOLUTION)
     header.offsets = origin
-    header.creation_date = None  # the same points make the same bytes
+    header.creation_date = None  # reproducible bytes
     las = laspy.LasData(header)
     las.X, las.Y, las.Z = steps.astype(np.int32).T
     if times is not None:

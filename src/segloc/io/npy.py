@@ -1,4 +1,4 @@
-"""NumPy's ``.npy`` and ``.npz``, without pickle."""
+"""Read and write NumPy's ``.npy`` and ``.npz``, without pickle."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(r"'descr': *'([<>|=][fiu]\d{1,2})'")
 _FORTRAN = re.compile(r"'fortran_order': *(True|False)")
 _SHAPE = re.compile(r"'shape': *\(([\d, ]{0,200})\)")
-_DEFLATE_RATIO = 1032  # the most that deflate can shrink anything
+_DEFLATE_RATIO = 1032  # maximum ratio of deflate
 
 
 def parse_npy(data: bytes) -> Scan:
@@ -29,7 +29,7 @@ def parse_npy(data: bytes) -> Scan:
 
 
 def parse_npz(data: bytes) -> Scan:
-    """The array ``points``, or the only one besides ``times``; ``times`` (N,) is optional."""
+    """Parse the array ``points``, or the only one besides ``times``; ``times`` (N,) is optional."""
     points, times = _parse_archive(data)
     if times is not None and times.shape != (len(points),):
         raise DatasetError(f"times have shape {times.shape}, not ({len(points)},)")
@@ -68,7 +68,7 @@ def _array_from(
         raise DatasetError(f"bad header: {error}") from error
     needed = math.prod(sizes) * dtype.itemsize
     if needed != len(data) - start:
-        raise DatasetError(f"shape {sizes} needs {needed} bytes, but there are {len(data) - start}")
+        raise DatasetError(f"shape {sizes} needs {needed} bytes, only {len(data) - start} are left")
     if not needed:
         if max(sizes, default=0) > most_points():
             raise DatasetError(f"impossible shape {sizes}")
@@ -82,34 +82,36 @@ def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any]
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             times = members.pop("times", None)
             if "points" not in members and len(members) != 1:
-                raise DatasetError(f"no array 'points' among {', '.join(members) or 'none'}"[:200])
+                raise DatasetError(
+                    f"no array 'points'; arrays: {', '.join(members) or 'none'}"[:200]
+                )
             name = "points" if "points" in members else next(iter(members))
             points = as_points(parse_array(_member(archive, members[name])))
             return points, parse_array(_member(archive, times)) if times else None
     except DatasetError:
         raise
-    except Exception as error:  # zipfile lets many kinds of error through where bytes are wrong
+    except Exception as error:  # zipfile raises many kinds on damaged bytes
         raise DatasetError(f"not a readable NPZ archive: {one_line(error)}") from error
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise DatasetError(f"{info.filename} is compressed by an unknown method")
+        raise DatasetError(f"{info.filename}: unsupported compression")
     if info.file_size > _DEFLATE_RATIO * (info.compress_size + 1):
-        raise DatasetError(f"{info.filename} cannot hold the {info.file_size} bytes it claims")
+        raise DatasetError(f"{info.filename} cannot hold its declared {info.file_size} bytes")
     check_bytes(info.file_size, info.filename)
     return archive.read(info)
 
 
 def format_npy(points: Float32) -> bytes:
-    """The points as a float32 array (N, 3)."""
+    """Format the points as a float32 array (N, 3)."""
     buffer = io.BytesIO()
     np.save(buffer, points.astype("<f4"), allow_pickle=False)
     return buffer.getvalue()
 
 
 def format_npz(points: Float32, times: Float64 | None) -> bytes:
-    """An archive of ``points``, float32 (N, 3), and, where there are any, float64 ``times``."""
+    """Format an archive of ``points``, float32 (N, 3), and float64 ``times``, if any."""
     buffer = io.BytesIO()
     arrays = {} if times is None else {"times": times.astype("<f8")}
     np.savez(buffer, allow_pickle=False, points=points.astype("<f4"), **arrays)

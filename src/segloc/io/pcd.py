@@ -1,4 +1,4 @@
-"""The Point Cloud Library's ``.pcd``: ASCII, binary and binary_compressed, any field layout."""
+"""Read and write PCL's ``.pcd``: ASCII, binary and binary_compressed, any field layout."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class _Header:
     points: int
     encoding: str
     start: int
-    """Where the points start."""
+    """Offset of the points."""
 
     @property
     def stride(self) -> int:
@@ -62,12 +62,12 @@ class _Header:
 
     @property
     def wanted(self) -> list[int]:
-        # A field of several values is no coordinate.
+        # Fields of several values are no coordinates.
         return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
 
     @property
     def offsets(self) -> list[tuple[int, int]]:
-        """Position and first byte in a point of each wanted field."""
+        """Position and offset in a point of each wanted field."""
         sizes = [field.num_bytes for field in self.fields]
         return [(k, sum(sizes[:k])) for k in self.wanted]
 
@@ -77,7 +77,7 @@ class _Header:
 
 
 def parse_pcd(data: bytes) -> Scan:
-    """Read a PCD file; VIEWPOINT is ignored, so points stay in the frame they are stored in."""
+    """Parse a PCD file; VIEWPOINT is ignored: points stay in the stored frame."""
     header = _parse_header(data)
     check_points(header.points)
     if header.encoding == "ascii":
@@ -90,7 +90,7 @@ def parse_pcd(data: bytes) -> Scan:
 
 
 def point_layout(head: bytes) -> PointLayout | None:
-    """Where the coordinates stand, by the first bytes of a file; None if it is compressed."""
+    """Return the layout of coordinates by a file's first bytes; None if compressed."""
     header = _parse_header(head)
     if header.encoding == "ascii":
         firsts = np.cumsum([0] + [field.count for field in header.fields])
@@ -111,7 +111,7 @@ def _parse_header(data: bytes) -> _Header:
         if "DATA" in entries:
             fields, points = _parse_fields(entries), _parse_num_points(entries)
             return _Header(fields, points, " ".join(entries["DATA"]).lower(), start)
-    raise DatasetError("not a PCD file: its header has no DATA line")
+    raise DatasetError("not a PCD file: no DATA line in its header")
 
 
 def _parse_fields(entries: dict[str, list[str]]) -> tuple[_Field, ...]:
@@ -120,7 +120,7 @@ def _parse_fields(entries: dict[str, list[str]]) -> tuple[_Field, ...]:
     rows["COUNT"] = entries.get("COUNT", ["1"] * len(names))
     for key, values in rows.items():
         if len(values) != len(names):
-            raise DatasetError(f"{len(names)} FIELDS but {len(values)} in the {key} line")
+            raise DatasetError(f"{len(names)} FIELDS but {len(values)} values in the {key} line")
     return tuple(
         _Field(name, parse_count(size, "a SIZE"), kind, parse_count(count, "a COUNT"))
         for name, size, kind, count in zip(
@@ -139,7 +139,7 @@ def _parse_num_points(entries: dict[str, list[str]]) -> int:
     if "WIDTH" not in entries:
         return count("POINTS")
     grid = count("WIDTH") * count("HEIGHT", "1")
-    if not grid:  # some writers fill POINTS alone
+    if not grid:  # some writers set POINTS only
         return count("POINTS", "0")
     if count("POINTS", str(grid)) != grid:
         raise DatasetError(f"POINTS is {entries['POINTS'][0]}, but WIDTH x HEIGHT is {grid}")
@@ -169,7 +169,7 @@ def _parse_binary(data: bytes, header: _Header) -> Scan:
 
 
 def _parse_compressed(data: bytes, header: _Header) -> Scan:
-    """Two sizes, then LZF over the fields one after another rather than point by point."""
+    """Parse two sizes, then LZF over the fields, stored one after another."""
     content = _decompress(data, header.start, header.points * header.stride)
     return scan_from_columns(
         [
@@ -184,7 +184,7 @@ def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:
     require_bytes(len(data) - start, 8, "the sizes of the compressed data")
     compressed, size = struct.unpack_from("<II", data, start)
     if size != expected:
-        raise DatasetError(f"the points need {expected} bytes, but {size} were compressed")
+        raise DatasetError(f"the points need {expected} bytes, the compressed data hold {size}")
     require_bytes(len(data) - start - 8, compressed, "the compressed points")
     check_bytes(size, "points")
     try:
@@ -194,7 +194,7 @@ def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:
 
 
 def format_pcd(points: Float32) -> bytes:
-    """A binary PCD with the fields x, y, z as float32."""
+    """Format a binary PCD with the fields x, y, z as float32."""
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
         "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"

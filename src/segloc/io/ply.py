@@ -1,4 +1,4 @@
-"""Stanford's ``.ply``: ASCII and binary of either byte order."""
+"""Read and write Stanford's ``.ply``: ASCII and binary of either byte order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TYPES = {
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_ODD_ROWS = 256  # measured one by one where few are alike
+_ODD_ROWS = 256  # rows measured one by one if lengths vary
 _ALIKE_ROWS = 1 << 16
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -38,7 +38,7 @@ class _Property:
     name: str
     type: str
     length_type: str | None = None
-    """Type of the length in front of the values, where the property is a list."""
+    """Type of the length before the values, if the property is a list."""
 
 
 @dataclass
@@ -53,16 +53,16 @@ class _Element:
 
     @property
     def stride(self) -> int:
-        """Bytes of one row without lists."""
+        """Bytes per row without lists."""
         return sum(np.dtype(prop.type).itemsize for prop in self.properties)
 
 
 def parse_ply(data: bytes) -> Scan:
-    """The vertices; elements before and after them may hold anything, lists too."""
+    """Parse the vertices; other elements may hold anything, including lists."""
     order, elements, start = _parse_header(data)
     names = [element.name for element in elements]
     if names.count("vertex") != 1:
-        raise DatasetError(f"{names.count('vertex')} vertex elements, not 1")
+        raise DatasetError(f"{names.count('vertex')} vertex elements, must be 1")
     before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
     check_points(vertex.count, "vertices")
     if order == "":
@@ -73,7 +73,7 @@ def parse_ply(data: bytes) -> Scan:
 
 
 def point_layout(head: bytes) -> PointLayout | None:
-    """Where the coordinates stand, by the first bytes of a file; None if that takes reading it."""
+    """Return the layout of coordinates by a file's first bytes; None if it varies by row."""
     order, elements, start = _parse_header(head)
     vertex = elements[0] if elements else None
     if vertex is None or vertex.name != "vertex" or vertex.has_lists:
@@ -102,7 +102,7 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
             elements[-1].properties.append(_parse_property(words))
         elif words == ["end_header"]:
             if order is None:
-                raise DatasetError("the header names no known format")
+                raise DatasetError("the header declares no known format")
             return order, elements, start
         elif words and words[0] not in ("comment", "obj_info"):
             raise DatasetError(f"unknown line in the header: {' '.join(words)[:60]!r}")
@@ -128,7 +128,7 @@ def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
     lists = [k for k, prop in enumerate(vertex.properties) if prop.length_type]
     if lists and lists[0] < max(columns):
         name = vertex.properties[lists[0]].name
-        raise DatasetError(f"list {name} stands before x, y, z or the time of a vertex")
+        raise DatasetError(f"list {name} comes before x, y, z or the time of a vertex")
     table = parse_table(
         data,
         columns=columns,
@@ -142,7 +142,7 @@ def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
 
 
 def _single(element: _Element) -> list[str]:
-    """Names of the properties, empty for lists: they are no coordinates."""
+    """Return the names of properties, "" for lists, which are no coordinates."""
     return ["" if prop.length_type else prop.name for prop in element.properties]
 
 
@@ -162,7 +162,7 @@ def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan
 def _parse_with_lists(
     data: bytes, start: int, vertex: _Element, order: str, wanted: list[int]
 ) -> Scan:
-    """Vertices that have lists beside coordinates, so that their sizes differ."""
+    """Parse vertices of variable size, with lists beside coordinates."""
     row, properties = _Row(vertex, order), vertex.properties
     fixed = not any(prop.length_type for prop in properties[: max(wanted)])
     places, offsets = [np.empty(0, np.int64)], [np.empty((0, len(wanted)), np.int64)]
@@ -181,7 +181,7 @@ def _parse_with_lists(
 
 
 def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
-    """Where the rows of ``element`` end."""
+    """Return the end of an element's rows."""
     if not element.has_lists:
         what = f"{element.count} rows of {element.name}"
         require_bytes(len(data) - start, element.count * element.stride, what)
@@ -192,10 +192,10 @@ def _skip(data: bytes, start: int, element: _Element, order: str) -> int:
 
 
 def _runs(data: bytes, start: int, element: _Element, order: str) -> Iterator[tuple[int, int, int]]:
-    """Place, number and size of successive rows with lists of the same lengths."""
+    """Yield offset, number and size of successive rows with lists of equal lengths."""
     what = f"{element.count} rows of {element.name}"
     check_points(element.count, f"rows of {element.name}")
-    # Each row has the byte of a list's length at least, which bounds the loop.
+    # Each row has at least the byte of a list's length, which bounds the loop.
     require_bytes(len(data) - start, element.count, what)
     row = _Row(element, order)
     done = 0
@@ -213,12 +213,12 @@ def _runs(data: bytes, start: int, element: _Element, order: str) -> Iterator[tu
 
 
 class _Row:
-    """Measures rows with lists, whose sizes are known from what is in them alone."""
+    """Measure rows with lists, whose sizes depend on their content."""
 
     def __init__(self, element: _Element, order: str) -> None:
         self._properties = element.properties
         self._parts: list[tuple[int, struct.Struct | None, int]] = []
-        """Bytes before a list, its length, and bytes of one of its values."""
+        """Bytes before a list, its length type, and bytes per value."""
         before = 0
         for prop in element.properties:
             size = np.dtype(prop.type).itemsize
@@ -231,7 +231,7 @@ class _Row:
         self._parts.append((before, None, 0))
 
     def size(self, data: bytes, start: int, what: str) -> int:
-        """Bytes of the row at ``start``."""
+        """Return the size of the row at ``start``."""
         place = start
         for before, length, size in self._parts:
             place += before
@@ -241,12 +241,12 @@ class _Row:
                 except struct.error:
                     raise DatasetError(f"{what} are cut off") from None
                 if count < 0:
-                    raise DatasetError(f"a list has the length {count}")
+                    raise DatasetError(f"a list of length {count}")
                 place += length.size + count * size
         return place - start
 
     def offsets(self, data: bytes, start: int) -> list[int]:
-        """Where each property of the row at ``start`` begins, bytes from there."""
+        """Return the offset of each property in the row at ``start``."""
         place, found = start, []
         lists = iter([(length, size) for _, length, size in self._parts if length is not None])
         for prop in self._properties:
@@ -259,7 +259,7 @@ class _Row:
         return found
 
     def alike(self, data: bytes, start: int, size: int, most: int) -> int:
-        """How many rows from ``start`` on have lists of the same lengths: most meshes' have."""
+        """Count rows from ``start`` on with lists of equal lengths, as in most meshes."""
         count = max(1, min(most, (len(data) - start) // size))
         rows = min(count, _ALIKE_ROWS)
         same = np.ones(rows, dtype=bool)
@@ -274,7 +274,7 @@ class _Row:
 
 
 def format_ply(points: Float32) -> bytes:
-    """A binary little endian PLY with the properties x, y, z as float."""
+    """Format a binary little-endian PLY with float x, y, z."""
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
         "property float x\nproperty float y\nproperty float z\nend_header\n"

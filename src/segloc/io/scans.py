@@ -1,4 +1,4 @@
-"""Point clouds from and to files; the suffix of a file's name picks its format."""
+"""Read and write point clouds; the file name's suffix selects the format."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ _TIMED_FORMATTERS: dict[str, Callable[[Float32, Float64 | None], bytes]] = {
 
 
 def scan_suffix(path: Path) -> str | None:
-    """The readable suffix that a file's name ends with, in lower case, or None."""
+    """Return the readable suffix of a file's name, in lower case, or None."""
     name = path.name.lower()
     return next((suffix for suffix in _PARSERS if name.endswith(suffix)), None)
 
 
 def scan_suffixes() -> tuple[str, ...]:
-    """The suffixes that :func:`read_scan` knows."""
+    """Return the suffixes that :func:`read_scan` supports."""
     return tuple(_PARSERS)
 
 
@@ -71,43 +71,43 @@ def read_scan(path: str | Path) -> Scan:
     .pcd           PCL: ascii, binary, binary_compressed
     .ply           ascii, binary of either byte order
     .csv           named columns (libpointmatcher), or the first three
-    .txt .xyz      the same between white space, commas or semicolons, with comments, and
-    .pts .asc      perhaps a line with the number of points first
+    .txt .xyz      the same between white space, commas or semicolons, with comments; the
+    .pts .asc      first line may be the number of points
     .vtk           legacy, ASCII and BINARY
     .las .laz      needs the extra ``io``
-    .npy .npz      (N, >= 3); the key ``points`` or the only one, and ``times``
+    .npy .npz      (N, >= 3); array ``points`` or the only one, optional ``times``
     ============== ==================================================================
 
-    Times come from a field named t, time, timestamp or time_stamp, or from LAS GPS times: a number
-    with a fractional type is in seconds, an integer in nanoseconds. An empty file is a scan of no
-    points where the format has no header (.bin, .txt and its like), and an error elsewhere.
+    Times come from a field named t, time, timestamp or time_stamp, or from LAS GPS times:
+    fractional types are in seconds, integers in nanoseconds. An empty file is a scan without
+    points if the format has no header (.bin, .txt and similar), and an error otherwise.
 
     Raises
     ------
     DatasetError
-        If the file is missing, of an unknown format, cut off or malformed, or has more points than
-        ``SEGLOC_MAX_POINTS``: one line that names the file and the fault.
+        If the file is missing, of an unknown format, truncated or malformed, or has more points
+        than ``SEGLOC_MAX_POINTS``.
     MissingDependency
         If the format needs a package that is not installed.
     """
     path = Path(path)
     suffix = scan_suffix(path)
     if suffix is None:
-        raise DatasetError(f"{path}: unknown format; known are {', '.join(_PARSERS)}")
+        raise DatasetError(f"{path}: unknown format; supported: {', '.join(_PARSERS)}")
     with faults_of(path):
         return _PARSERS[suffix](read_file(path))
 
 
 def read_file(path: Path) -> bytes:
-    """All bytes of a regular file.
+    """Read all bytes of a regular file.
 
-    Raise DatasetError if there is none, it cannot be read, or it is larger than any scan may be.
+    Raise DatasetError if it is missing, unreadable, or larger than any scan may be.
     """
     try:
         if not path.exists():
             raise DatasetError("no such file")
-        if not path.is_file():  # a pipe or a device might never end
-            raise DatasetError("not a file")
+        if not path.is_file():  # a pipe or device might never end
+            raise DatasetError("not a regular file")
         check_bytes(path.stat().st_size, "a file")
         return path.read_bytes()
     except (OSError, ValueError) as error:
@@ -117,22 +117,22 @@ def read_file(path: Path) -> bytes:
 def write_scan(path: str | Path, points: ArrayLike, times: ArrayLike | None = None) -> None:
     """Write x, y, z to a ``.bin .pcd .ply .npy .npz .laz`` or ``.csv`` file.
 
-    All but ``.laz`` (steps of 1 mm) keep every bit of float32 coordinates. The file appears whole
-    or not at all.
+    Formats except ``.laz`` (steps of 1 mm) keep every bit of float32. The file is written
+    atomically.
 
     Parameters
     ----------
     path : path
-        Its folder must exist; a file of that name is replaced.
+        Its folder must exist; an existing file is replaced.
     points : (N, >=3) array of any float dtype
-        Metres. Points that are not finite are left out.
+        Coordinates [m]. Points that are not finite are dropped.
     times : (N,) array, optional
-        Of each point, seconds; only ``.npz`` and ``.laz`` have room for them.
+        Time of each point [s]; only in ``.npz`` and ``.laz``.
 
     Raises
     ------
     DatasetError
-        If the suffix is unknown or has no room for times, or coordinates are beyond the format's
+        If the suffix is unknown or cannot store times, or coordinates are beyond the format's
         range.
     SeglocError
         If the file cannot be written.
@@ -145,10 +145,10 @@ def write_scan(path: str | Path, points: ArrayLike, times: ArrayLike | None = No
     suffix = scan_suffix(path)
     known = {**_FORMATTERS, **_TIMED_FORMATTERS}
     if suffix not in known:
-        raise DatasetError(f"{path}: cannot write this format; known are {', '.join(known)}")
+        raise DatasetError(f"{path}: cannot write this format; supported: {', '.join(known)}")
     if times is not None and suffix not in _TIMED_FORMATTERS:
         raise DatasetError(
-            f"{path}: no room for times; formats with times are {', '.join(_TIMED_FORMATTERS)}"
+            f"{path}: cannot store times; formats with times: {', '.join(_TIMED_FORMATTERS)}"
         )
     scan = Scan(points, times=times)
     try:

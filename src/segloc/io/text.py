@@ -1,4 +1,4 @@
-"""Numbers as text: ``.csv`` (libpointmatcher's among them), ``.txt``, ``.xyz`` and their like."""
+"""Read and write numbers as text: ``.csv`` (also libpointmatcher's), ``.txt``, ``.xyz`` etc."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from .fields import one_line, scan_from_columns, wanted_columns
 Mapped = bytes | mmap.mmap
 
 _BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as many
-_LONGEST_LINE = 1 << 16
+_MAX_LINE = 1 << 16
 COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
 _NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
-"""As Microsoft's and other C libraries print values that are not finite."""
+"""Non-finite values as Microsoft's and other C libraries print them."""
 
 
 def plain_nan(text: str) -> str:
-    """The text with ``nan`` for other spellings of what is not finite."""
+    """Return the text with ``nan`` for other spellings of non-finite values."""
     return _NOT_A_NUMBER.sub("nan", text)
 
 
@@ -39,17 +39,14 @@ def parse_table(
     skipped: int = 0,
     more: bool = False,
 ) -> Float64:
-    """Some columns of a table of numbers between white space.
+    """Parse columns of a table of numbers between white space, (N, len(columns)) float64.
 
-    data: the lines; blank ones do not count
-    columns: which columns to parse; what stands in the others may be any text
-    width: how many columns there are; checked on the last line, where a cut would show. None where
-      rows differ
-    rows: how many rows there should be
+    data: lines; blank ones are skipped
+    columns: columns to parse; others may hold any text
+    width: number of columns, checked on the last line, where truncation shows; None if rows differ
+    rows: expected number of rows
     skipped: lines before them
-    more: whether there may be lines behind them
-
-    Return (N, len(columns)) float64.
+    more: True if lines may follow
 
     Raise DatasetError if a number cannot be parsed, or there are too few rows or columns.
     """
@@ -57,7 +54,7 @@ def parse_table(
     found = _selected(_blocks(data), skipped, rows if more else None)
     table = _joined(_tables(found, columns, width, None))
     if len(table) != rows:
-        raise DatasetError(f"the header says {rows} points, but there are {len(table)} rows")
+        raise DatasetError(f"the header declares {rows} points, the file has {len(table)} rows")
     return table
 
 
@@ -88,9 +85,9 @@ def _blocks(data: Mapped, comments: tuple[str, ...] = (), start: int = 0) -> Ite
     while start < len(data):
         end = len(data)
         if end - start > _BLOCK:
-            end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _LONGEST_LINE) + 1
-            if not end and start + _BLOCK + _LONGEST_LINE < len(data):
-                raise DatasetError(f"a line of more than {_LONGEST_LINE} bytes")
+            end = data.find(b"\n", start + _BLOCK, start + _BLOCK + _MAX_LINE) + 1
+            if not end and start + _BLOCK + _MAX_LINE < len(data):
+                raise DatasetError(f"a line longer than {_MAX_LINE} bytes")
             end = end or len(data)
         lines = data[start:end].decode("utf-8", "replace").split("\n")
         yield [
@@ -106,7 +103,7 @@ def _is_comment(line: str, marks: tuple[str, ...]) -> bool:
 
 
 def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:
-    """The lines behind the first ``skipped``, at most ``rows`` of them."""
+    """Yield the lines after the first ``skipped``, at most ``rows``."""
     for lines in blocks:
         kept = lines[skipped:] if skipped else lines
         skipped -= len(lines) - len(kept)
@@ -129,8 +126,8 @@ def _tables(
         try:
             table = _loaded(lines, columns, delimiter)
         except ValueError as error:
-            behind = f" behind row {count}" if count else ""
-            raise DatasetError(f"cannot parse the points{behind}: {one_line(error)}") from error
+            after = f" after row {count}" if count else ""
+            raise DatasetError(f"cannot parse the points{after}: {one_line(error)}") from error
         count, last = count + len(lines), lines[-1]
         yield table
     if not count:
@@ -151,7 +148,7 @@ def _joined(tables: Iterator[Float64]) -> Float64:
 
 
 def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
-    """Columns of lines of numbers; other spellings of NaN are sought where there may be some."""
+    """Parse columns of lines of numbers, with any spelling of NaN."""
 
     def load(rows: list[str]) -> Float64:
         return np.loadtxt(
@@ -168,8 +165,8 @@ def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> 
 
 
 def _words(line: str, delimiter: str | None) -> list[str]:
-    if len(line) > _LONGEST_LINE:
-        raise DatasetError(f"a line of {len(line)} characters: more than {_LONGEST_LINE}")
+    if len(line) > _MAX_LINE:
+        raise DatasetError(f"a line of {len(line)} characters, at most {_MAX_LINE}")
     return line.split(delimiter)
 
 
@@ -210,8 +207,8 @@ def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[F
 
 
 def _is_count(line: str) -> bool:
-    """Whether a line is one whole number, as .pts files begin."""
-    return len(line) <= _LONGEST_LINE and line.strip().isdecimal()
+    """Return whether a line is one whole number, the first line of .pts files."""
+    return len(line) <= _MAX_LINE and line.strip().isdecimal()
 
 
 def _is_number(word: str) -> bool:
@@ -223,7 +220,7 @@ def _is_number(word: str) -> bool:
 
 
 def format_csv(points: Float32) -> bytes:
-    """The header x,y,z and rows with the nine digits that tell any two float32 apart."""
+    """Format the header x,y,z and rows with nine digits, which keep every float32 distinct."""
     buffer = io.StringIO()
     np.savetxt(buffer, points, fmt="%.9g", delimiter=",", header="x,y,z", comments="")
     return buffer.getvalue().encode("ascii")

@@ -1,4 +1,4 @@
-"""Posed paths, and the two kinds of file that hold them: TUM and KITTI."""
+"""Trajectories, and their file formats TUM and KITTI."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .fields import faults_of, one_line
 from .scans import read_file
 
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""Of a TUM file, in this order."""
-_MOST_COLUMNS = 200
+"""Columns of a TUM file, in order."""
+_MAX_COLUMNS = 200
 _UNIT = re.compile(r"(\S)\s+(?=[\[(])")  # a unit belongs to the name before it
 _TIME_WORDS = frozenset({"t", "time", "timestamp", "timestamps", "stamp", "ts", "sec", "secs"})
 _TURN_WORDS = frozenset({"q", "quat", "quaternion", "orientation", "ori", "rot", "rotation"})
@@ -37,25 +37,25 @@ _TIME_UNITS = {
 
 
 def delimiter(line: str) -> str | None:
-    """Comma or semicolon if there is one; None for white space."""
+    """Return comma or semicolon if present; None for white space."""
     return next((mark for mark in ",;" if mark in line), None)
 
 
 def is_header(line: str) -> bool:
-    """Whether no word of a line is a number."""
+    """Return whether no word of a line is a number."""
     words = line.replace(",", " ").replace(";", " ").split()
     return all(word[:1].isalpha() and word.lower() not in ("nan", "inf") for word in words)
 
 
 def named_columns(line: str) -> tuple[list[int] | None, float]:
-    """Positions of the columns of a TUM file by their names, and the unit of its stamps, seconds.
+    """Return the positions of a TUM file's columns by name, and the unit of its stamps [s].
 
-    A ninth column holds nanoseconds beside whole seconds. None where the line does not name all.
+    A ninth column holds nanoseconds beside whole seconds. Return None if columns are missing.
     """
     content = line.strip().lstrip("#%").strip()
     mark = delimiter(content)
     names = content.split(mark) if mark else _UNIT.sub(r"\1", content).split()
-    roles = [_role(name) for name in names[:_MOST_COLUMNS]]
+    roles = [_role(name) for name in names[:_MAX_COLUMNS]]
     if any(role not in roles for role in TUM):
         return None, 1.0
     stamped = [k for k, name in enumerate(names) if roles[k] == "time" and "stamp" in name.lower()]
@@ -68,7 +68,7 @@ def named_columns(line: str) -> tuple[list[int] | None, float]:
 
 
 def _role(name: str) -> str:
-    """What a column is by its name: time, x, y, z, qx, qy, qz, qw, or nothing of these."""
+    """Return the role of a column by name: time, x, y, z, qx, qy, qz, qw, or ""."""
     plain = name.lower().partition("[")[0].partition("(")[0].strip("\"' \t\r")
     parts = [part for part in re.split(r"[^a-z0-9]+", plain) if part]
     if not parts:
@@ -83,19 +83,18 @@ def _role(name: str) -> str:
     return "time" if parts[0] in _TIME_WORDS or parts[-1] in _TIME_WORDS else ""
 
 
-_UNIT_TOLERANCE = 0.05  # of a quaternion's length: files come with as few as two decimals
+_UNIT_TOLERANCE = 0.05  # of a quaternion's length; some files have only two decimals
 LONGEST_STEP_M = 1e5
-"""From one pose to the next. Recordings may be cut, but not between a pose and no pose at all."""
+"""Maximum distance between consecutive poses, across cuts of a recording [m]."""
 _KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of a sensor over time.
+    """Poses of a sensor by time.
 
-    Raise DatasetError if a shape is wrong, a value is not finite, a pose is not rigid or lies
-    beyond ``MOST_METRES``, or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not
-    rise.
+    Raise DatasetError if a shape is wrong, a value is not finite, a pose is not rigid, lies beyond
+    ``MOST_METRES`` or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not rise.
     """
 
     stamps: Float64  # (N,) seconds, or any index; strictly rising
@@ -105,7 +104,7 @@ class Trajectory:
         stamps = np.array(self.stamps, dtype=np.float64)
         poses = np.array(self.poses, dtype=np.float64)
         if stamps.ndim != 1 or poses.shape != (len(stamps), 4, 4):
-            raise DatasetError(f"stamps {stamps.shape} and poses {poses.shape} do not fit")
+            raise DatasetError(f"stamps {stamps.shape} and poses {poses.shape} do not match")
         fault = _first_fault(stamps, poses)
         if fault is not None:
             raise DatasetError(f"pose {fault[0]}: {fault[1]}")
@@ -117,36 +116,35 @@ class Trajectory:
         return len(self.stamps)
 
     def at(self, stamp: float) -> Pose | None:
-        """The (4, 4) pose of exactly this stamp, or None."""
+        """Return the (4, 4) pose at exactly this stamp, or None."""
         position = int(np.searchsorted(self.stamps, stamp))
         if position == len(self) or self.stamps[position] != stamp:
             return None
         return np.array(self.poses[position])
 
     def interpolate(self, stamp: float) -> Pose:
-        """The (4, 4) pose between two neighbours: linear in position, slerp in rotation.
+        """Interpolate the (4, 4) pose at a stamp: linear in position, slerp in rotation.
 
-        Raise DatasetError if the stamp lies before the first or after the last: nothing is
-        extrapolated.
+        Raise DatasetError if the stamp lies before the first or after the last.
         """
         exact = self.at(stamp)
         if exact is not None:
             return exact
         after = int(np.searchsorted(self.stamps, stamp))
-        if not 0 < after < len(self):  # NaN sorts behind everything
+        if not 0 < after < len(self):  # NaN sorts last
             raise DatasetError(f"no poses around stamp {stamp}")
         pair = slice(after - 1, after + 1)
         start, end = self.stamps[pair]
         share = (stamp - start) / (end - start)
         T = np.eye(4)
-        ends = Rotation.from_matrix(np.array(self.poses[pair, :3, :3]))  # older SciPy writes there
+        ends = Rotation.from_matrix(np.array(self.poses[pair, :3, :3]))  # older SciPy writes to it
         T[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
         T[:3, 3] = (1 - share) * self.poses[after - 1, :3, 3] + share * self.poses[after, :3, 3]
         return T
 
 
 def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
-    """Position of the first pose that is wrong, and what is wrong with it."""
+    """Return the position of the first invalid pose, and its fault."""
     R = poses[:, :3, :3]
     finite = np.isfinite(poses).all(axis=(1, 2))
     with np.errstate(all="ignore"):
@@ -168,13 +166,13 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
 
 
 def too_far(poses: Float64) -> NDArray[np.bool_]:
-    """Which of (N, 4, 4) poses lie beyond ``MOST_METRES``."""
+    """Return which poses (N, 4, 4) lie beyond ``MOST_METRES``."""
     with np.errstate(invalid="ignore"):
         return np.asarray((np.abs(poses[:, :3, 3]) > MOST_METRES).any(axis=1))
 
 
 def torn(poses: Float64) -> NDArray[np.bool_]:
-    """Which of (N, 4, 4) poses lie more than ``LONGEST_STEP_M`` from the one before."""
+    """Return which poses (N, 4, 4) lie more than ``LONGEST_STEP_M`` from the one before."""
     with np.errstate(all="ignore"):
         steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
         return np.concatenate([np.zeros(min(1, len(poses)), bool), steps > LONGEST_STEP_M])
@@ -184,23 +182,21 @@ def read_trajectory(path: str | Path) -> Trajectory:
     """Read a TUM file (8 columns) or a KITTI file (12 columns); lines with # are comments.
 
     TUM: ``stamp tx ty tz qx qy qz qw``, stamps rising, quaternions normalised. KITTI: the upper
-    three rows of each pose; the stamps are 0, 1, 2, ... A file of comments alone has no poses.
-    Columns stand between white space, commas or semicolons. A first line that names a time, a
-    position and a quaternion, as EuRoC's does, picks the columns by name; times whose unit it gives
-    become seconds.
+    three rows of each pose, with stamps 0, 1, 2, ... A file of comments only has no poses.
+    Columns are separated by white space, commas or semicolons. A first line that names a time, a
+    position and a quaternion, as EuRoC's does, selects columns by name and the unit of time.
 
     Raises
     ------
     DatasetError
-        Naming file and line: a wrong number of columns, text, NaN, a quaternion that is not of
-        unit length, a matrix that is not a rotation, stamps that do not rise, positions beyond all
-        reason.
+        With file and line: a wrong number of columns, text, NaN, a quaternion not of unit length,
+        a matrix that is not a rotation, stamps that do not rise, implausible positions.
     """
     return read_trajectory_and_kind(path)[0]
 
 
 def read_trajectory_and_kind(path: str | Path) -> tuple[Trajectory, Literal["tum", "kitti"]]:
-    """As :func:`read_trajectory`, and which of the two kinds the file was."""
+    """Read like :func:`read_trajectory`; also return the file's format."""
     path = Path(path)
     with faults_of(path):
         numbers, lines = _parse_rows(read_file(path))
@@ -213,7 +209,7 @@ def read_trajectory_and_kind(path: str | Path) -> tuple[Trajectory, Literal["tum
 
 
 def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
-    """The numbers, (N, 8 or 12), and the number of the line that each row stands on."""
+    """Return the numbers, (N, 8 or 12), and the line number of each row."""
     text = data.decode("utf-8-sig", "replace").split("\n")
     lines = [k for k, line in enumerate(text) if line.partition("#")[0].strip()]
     check_points(len(lines), "poses")
@@ -225,7 +221,7 @@ def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
         del lines[0]
         if named is None:
             raise DatasetError(
-                f"line {first + 1}: a header without columns of a time, x, y, z, qx, qy, qz and qw"
+                f"line {first + 1}: header without columns for time, x, y, z, qx, qy, qz and qw"
             )
     if not lines:
         return np.empty((0, 8)), []
@@ -233,7 +229,7 @@ def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
     lines = [k + 1 for k in lines]
     mark = delimiter(rows[0])
     if named is not None and max(named) >= len(rows[0].split(mark)):
-        named, unit = None, 1.0  # a remark, and not on these columns
+        named, unit = None, 1.0  # a remark, not a header of these columns
     try:
         numbers: Float64 = np.loadtxt(
             rows, comments=None, delimiter=mark, usecols=named, ndmin=2, dtype=np.float64
@@ -252,7 +248,7 @@ def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
 def _raise_first_fault(
     rows: list[str], lines: list[int], mark: str | None, named: list[int] | None
 ) -> NoReturn:
-    """Name the first line that is no pose."""
+    """Raise DatasetError at the first line that is not a pose."""
     width = 0
     for line, row in zip(lines, rows, strict=True):
         words = row.split(mark)
@@ -292,20 +288,20 @@ def _from_kitti(numbers: Float64) -> tuple[Float64, Float64]:
 
 
 def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> None:
-    """Write ``stamp tx ty tz qx qy qz qw`` with 9 decimals and qw >= 0; all of it or nothing.
+    """Write ``stamp tx ty tz qx qy qz qw`` with 9 decimals and qw >= 0, atomically.
 
-    A remark becomes a second line of comment.
+    A remark is written as a second comment line.
 
     Raises
     ------
     DatasetError
-        If two stamps are the same to 9 decimals.
+        If two stamps are equal to 9 decimals.
     SeglocError
         If the file cannot be written.
     """
     path = Path(path)
     if (np.diff(np.round(trajectory.stamps, 9)) <= 0).any():
-        raise DatasetError(f"{path}: two stamps are the same to 9 decimals")
+        raise DatasetError(f"{path}: two stamps are equal to 9 decimals")
     rows = np.empty((len(trajectory), 8))
     rows[:, 0] = trajectory.stamps
     rows[:, 1:4] = trajectory.poses[:, :3, 3]
@@ -317,7 +313,7 @@ def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> Non
 
 
 def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
-    """Write the upper three rows of each pose, 12 numbers a line; stamps are not kept.
+    """Write the upper three rows of each pose, 12 numbers per line, without stamps.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The POINTS of legacy ``.vtk`` files, ASCII and BINARY (which is big endian)."""
+"""Read the POINTS of legacy ``.vtk`` files, ASCII and BINARY (big endian)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _TYPES = {
     "unsigned_char": "u1", "unsigned_short": "u2", "unsigned_int": "u4", "unsigned_long": "u8",
 }  # fmt: skip
 _WORD = re.compile(rb"(?<!\S)(?![-+]?(?:nan|inf|infinity)(?!\S))[a-z]", re.I)
-"""Where the next section of a file begins."""
+"""Start of the next section of a file."""
 _POINTS = re.compile(rb"^POINTS[ \t]+(\S{1,40})[ \t]+(\w{1,40})[ \t]*\r?\n", re.M | re.I)
 
 
 def parse_vtk(data: bytes) -> Scan:
-    """The points of any dataset that lists them (poly data, unstructured and structured grids)."""
+    """Parse the points of poly data, unstructured and structured grids."""
     encoding, start = _parse_header(data)
     found = _POINTS.search(data, start)
     if found is None:
@@ -43,7 +43,7 @@ def _parse_header(data: bytes) -> tuple[str, int]:
     magic, _ = next(lines, ([], 0))
     if [word.lower() for word in magic[:3]] != ["#", "vtk", "datafile"]:
         raise DatasetError("not a legacy VTK file: the first line is not '# vtk DataFile'")
-    next(lines, None)  # the title, any text
+    next(lines, None)  # title
     words, start = next(lines, ([], 0))
     encoding = " ".join(words).upper()
     if encoding not in ("ASCII", "BINARY"):
@@ -60,18 +60,18 @@ def _parse_binary(data: bytes, start: int, count: int, dtype: np.dtype[np.generi
 
 
 def _parse_ascii(data: bytes, count: int) -> Scan:
-    """Numbers in any number of columns: VTK itself writes three points to a line."""
-    require_bytes(len(data) + 1, 6 * count, f"{count} points")  # a digit and a space each at least
+    """Parse numbers in any number of columns; VTK writes three points per line."""
+    require_bytes(len(data) + 1, 6 * count, f"{count} points")  # at least a digit and a space each
     if b"#" in data or b"nan(" in data.lower():
         data = plain_nan(data.decode("latin-1")).encode("latin-1")
     if not count:
         return Scan(np.empty((0, 3), dtype=np.float32))
     end = _WORD.search(data)
     try:
-        # Without a count: with one, and too few numbers, the rest is whatever was in memory.
+        # Without a count: given a count and too few numbers, NumPy returns uninitialised memory.
         values = np.fromstring(data[: end.start()] if end else data, dtype=np.float64, sep=" ")
-    except (ValueError, DeprecationWarning) as error:  # in which of the two ways: by its version
+    except (ValueError, DeprecationWarning) as error:  # depends on NumPy's version
         raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
     if len(values) < 3 * count:
-        raise DatasetError(f"{count} points need {3 * count} numbers, but there are {len(values)}")
+        raise DatasetError(f"{count} points need {3 * count} numbers, only {len(values)} are there")
     return scan_from_columns(list(values[: 3 * count].reshape(-1, 3).T))

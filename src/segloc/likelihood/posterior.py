@@ -114,7 +114,7 @@ class Posterior:
             return ""
         best = self.best
         if best is None:
-            return Reason.NO_CONSISTENT_MATCHES.value
+            return str(Reason.NO_CONSISTENT_MATCHES)
         if reason is Reason.AMBIGUOUS:
             return ambiguous_with(self.places[1].T_map_local)
         elsewhere = f", elsewhere {self.places[1]}" if len(self.places) > 1 else ""

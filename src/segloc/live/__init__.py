@@ -1,4 +1,4 @@
-"""A robot followed while it drives: scans and odometry in, where it is in the map out."""
+"""Localize a moving robot online from scans and odometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a robot is followed."""
+"""Configuration of online localization."""
 
 from __future__ import annotations
 
@@ -11,35 +11,33 @@ FOLLOWED = TrackerConfig(accumulate=True, every_m=10.0)
 
 
 class LiveConfig(Section):
-    """When queries are made, what odometry may do, and how long one waits for what.
+    """When to query, what odometry may do, and how long to wait.
 
-    Seconds are those of stamps, so that the same stream gives the same states at any speed.
+    Seconds are those of stamps, so that a stream gives the same states at any speed.
     """
 
     tracker: TrackerConfig = FOLLOWED
-    every_s: float = Field(
-        5.0, gt=0, description="a query is made after so long, however little was travelled"
-    )
-    every_lost_s: float = Field(1.0, gt=0, description="the same while lost or candidate")
+    every_s: float = Field(5.0, gt=0, description="maximum time between queries, seconds")
+    every_lost_s: float = Field(1.0, gt=0, description="the same while lost or candidate, seconds")
     deadline_ms: float | None = Field(
-        None, gt=0, description="a query tries no more candidates after it; none: all"
+        None, gt=0, description="time after which a query tries no more candidates, ms; null: none"
     )
     least_m: float = Field(
-        0.05, ge=0, description="no position is claimed to be better known than this, metres"
+        0.05, ge=0, description="minimum standard deviation of a position, metres"
     )
-    least_deg: float = Field(0.3, ge=0, description="and no direction, degrees")
+    least_deg: float = Field(0.3, ge=0, description="minimum standard deviation of a rotation")
 
-    odometry_s: float = Field(10.0, gt=0, description="odometry is kept for so long")
+    odometry_s: float = Field(10.0, gt=0, description="history of odometry, seconds")
     max_gap_s: float = Field(
-        0.5, gt=0, description="no pose is made up between odometry farther apart"
+        0.5, gt=0, description="maximum gap of odometry that is interpolated, seconds"
     )
-    wait_s: float = Field(0.5, ge=0, description="a scan waits so long for its odometry")
-    waiting: int = Field(4, ge=1, description="scans that wait at most; the newest win")
-    silent_s: float = Field(2.0, gt=0, description="without scans for longer it is degraded")
+    wait_s: float = Field(0.5, ge=0, description="maximum wait of a scan for odometry, seconds")
+    waiting: int = Field(4, ge=1, description="maximum number of waiting scans, the newest")
+    silent_s: float = Field(2.0, gt=0, description="time without scans until degraded, seconds")
     clock_jump_s: float = Field(
-        1.0, gt=0, description="stamps that go back by less are late, by more another clock's"
+        1.0, gt=0, description="stamps going back by less are late, by more a new clock, seconds"
     )
-    jump_m: float = Field(1.0, gt=0, description="smaller steps of the odometry are no jumps")
-    jump_deg: float = Field(30.0, gt=0, description="nor are smaller turns")
-    max_speed_mps: float = Field(60.0, gt=0, description="nothing is as fast")
-    max_turn_dps: float = Field(360.0, gt=0, description="or turns as fast, degrees a second")
+    jump_m: float = Field(1.0, gt=0, description="minimum step of odometry that is a jump, metres")
+    jump_deg: float = Field(30.0, gt=0, description="minimum turn that is a jump")
+    max_speed_mps: float = Field(60.0, gt=0, description="maximum speed, metres per second")
+    max_turn_dps: float = Field(360.0, gt=0, description="maximum turn rate, degrees per second")

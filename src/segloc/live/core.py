@@ -1,5 +1,5 @@
-"""A robot followed, one event after another: no threads, no clock, so the same stream always gives
-the same states."""
+"""Online localization event by event, without threads or clock: a stream always gives the same
+states."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -26,32 +27,98 @@ from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
-NO_ODOMETRY = "no odometry at the time of the scan"
+
+class StateReason(str, Enum):
+    """Why a robot is not localized, with the likely cause and its remedy.
+
+    The value may hold fields: seconds, metres, or the size of a jump.
+
+    Attributes
+    ----------
+    likely_cause, remedy : str
+    """
+
+    _value_: str
+    likely_cause: str
+    remedy: str
+
+    def __new__(cls, value: str, likely_cause: str, remedy: str) -> StateReason:
+        member = str.__new__(cls, value)
+        member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
+        return member
+
+    NOTHING_FOUND = "nothing found", "no place is probable yet", "drive some metres"
+    NO_AGREEMENT = "no agreement yet", "no place is probable enough yet", "drive some metres"
+    SEVERAL_PLACES = "several places fit", "places look alike", "drive some metres"
+    UNSUPPORTED = (
+        "nothing supports the track since {metres:.0f} m",
+        "the robot left the map, or the place has changed",
+        "drive back into the map",
+    )
+    CONTRADICTED = (
+        "the map contradicts the track",
+        "the robot was kidnapped, or something large blocks the view",
+        "wait: the robot is searched again",
+    )
+    JUMP = (
+        "the odometry jumped by {size}",
+        "the odometry was reset, or wheels slipped",
+        "check the odometry",
+    )
+    ODOMETRY_LOST = (
+        "odometry is lost: {fault}",
+        "odometry from the scans: they do not overlap",
+        "drive on: it restarts at its last pose",
+    )
+    SCANS_MISSING = (
+        "no scans for {seconds:.1f} s",
+        "odometry from the scans: some are missing",
+        "drive on: it restarts at its last pose",
+    )
+    NO_ODOMETRY = (
+        "no odometry at the time of the scan",
+        "clocks differ, or messages are late",
+        "compare stamps",
+    )
+    REJECTED = "scan rejected: {error}", "the scan is invalid, as the error says", "fix the driver"
+    NO_SCAN = (
+        "no scan for {seconds:.1f} s",
+        "scans are missing",
+        "check the sensor's driver and the network",
+    )
+    NO_DATA = (
+        "no data received for {seconds:.1f} s",
+        "scans and odometry are missing",
+        "check drivers and the network",
+    )
+
+    def __str__(self) -> str:
+        return str.__str__(self)
 
 
 @dataclass(frozen=True)
-class Asked:
+class PendingQuery:
     """A query that is due.
 
     Attributes
     ----------
     stamp : float
         Of its scan.
-    question : QueryRequest
+    request : QueryRequest
     near : Prior or None
         Where the kept pose is checked.
     """
 
     stamp: float
-    question: QueryRequest
+    request: QueryRequest
     near: Prior | None = None
 
 
 class LiveCore:
-    """Takes scans and odometry in, and says after each where the robot is.
+    """Take scans and odometry, and return the robot's state after each.
 
-    Queries are not made here, since they take long: :meth:`due` hands one out, :meth:`ask` answers
-    it and changes nothing, so that another thread may, and :meth:`answer` takes the answer in.
+    Queries take long, so they are separate: :meth:`due` returns one to make, :meth:`ask` makes it
+    without side effects, in any thread, and :meth:`answer` applies the result.
 
     Parameters
     ----------
@@ -68,11 +135,11 @@ class LiveCore:
     Attributes
     ----------
     scans : int
-        Placed by the odometry, and taken in.
+        Scans used.
     dropped : int
-        Scans that were late, or that no odometry was known of.
+        Scans that were late, or without odometry.
     refused, jumps : int
-        Scans that could not be used; jumps of the odometry.
+        Unusable scans; jumps of the odometry.
     """
 
     def __init__(
@@ -101,52 +168,52 @@ class LiveCore:
         self.scans = self.dropped = self.refused = self.jumps = 0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
-        self._newest = -math.inf  # stamp of the newest scan that came in
+        self._newest = -math.inf  # stamp of the newest scan received
         self._asked_at = -math.inf
-        self._due: Asked | None = None
-        self._open = False  # whether a query is being made
-        self._fault = ""  # why the track is not to be relied on, whatever the tracker says
-        self.state = State(0.0, Status.LOST, reason="nothing has come in")
+        self._due: PendingQuery | None = None
+        self._open = False  # True while a query is being made
+        self._fault = ""  # why the track is unreliable, whatever the tracker reports
+        self.state = State(0.0, Status.LOST, reason="no data received")
 
-    # --- what comes in -------------------------------------------------------------------------
+    # --- input ---------------------------------------------------------------------------------
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> list[State]:
-        """Take a pose of the odometry.
+        """Add a pose of the odometry.
 
         Parameters
         ----------
         stamp : float
-            Seconds, on the scans' clock.
+            On the scans' clock [s].
         T_odom_base : (4, 4) array
             Pose of the base in the odometry's frame, whose z axis points up.
 
         Returns
         -------
         list of State
-            What there is to say: of scans that have waited for it, of a jump, of silence.
+            New states: of scans that waited for it, of a jump, or of a gap in the scans.
 
         Raises
         ------
         InvalidScan
-            If it is no pose, or the stamp is no finite number.
+            If the pose is invalid, or the stamp is not a finite number.
         """
         time, T = known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
         jump = self._odometry.add(time, T)
-        said = self._release(time) if jump is None else self._jumped(jump)
+        states = self._release(time) if jump is None else self._jumped(jump)
         if self._is_silent(time):
-            self._fault = f"no scan for {time - self._newest:.1f} s"
-            said.append(self._say(time))
-        return said
+            self._fault = StateReason.NO_SCAN.format(seconds=time - self._newest)
+            states.append(self._report(time))
+        return states
 
     def add_scan(self, scan: Scan, stamp: float | None = None) -> list[State]:
-        """Take a scan. It waits until the odometry is known all along it.
+        """Add a scan. It waits until odometry covers it.
 
         Parameters
         ----------
         scan : Scan
-            Points in the sensor's frame; with times, seconds after the stamp, its motion is undone.
+            Points in the sensor's frame; de-skewed if they have times, in seconds after the stamp.
         stamp : float, optional
-            Seconds; by default the scan's own.
+            By default the scan's own [s].
 
         Returns
         -------
@@ -164,75 +231,79 @@ class LiveCore:
                 return []
             self._set_clock(time)
         self._newest = time
-        said = [] if self._lidar_odometry is None else self._register(scan, time)
+        states = [] if self._lidar_odometry is None else self._register(scan, time)
         self._waiting.append((time, scan))
-        said += self._release(time)
+        states += self._release(time)
         while len(self._waiting) > self.config.waiting:
             self._waiting.popleft()
             self.dropped += 1
-        return said
+        return states
 
-    def due(self) -> Asked | None:
-        """The query that is to be made now, if any; handed out once."""
-        asked, self._due = self._due, None
-        self._open = self._open or asked is not None
+    def due(self) -> PendingQuery | None:
+        """Return the query to make now, if any; each once."""
+        pending, self._due = self._due, None
+        self._open = self._open or pending is not None
         T_odom_base = self.state.T_odom_base
-        if asked is None or self._keeper is None or T_odom_base is None:
-            return asked
-        near = self._keeper.near(asked.stamp, T_odom_base, self.T_base_sensor)
-        return replace(asked, near=near)
+        if pending is None or self._keeper is None or T_odom_base is None:
+            return pending
+        near = self._keeper.near(pending.stamp, T_odom_base, self.T_base_sensor)
+        return replace(pending, near=near)
 
     def ask(
-        self, asked: Asked, *, near: Prior | None = None, heard: QueryCallback | None = None
+        self,
+        pending: PendingQuery,
+        *,
+        near: Prior | None = None,
+        callback: QueryCallback | None = None,
     ) -> View:
-        """Make a query, as :meth:`segloc.Tracker.ask` does. It changes nothing: any thread may.
+        """Make a query, as :meth:`segloc.Tracker.ask` does; thread-safe.
 
         Raises
         ------
         SeglocError
             If it cannot be made.
         """
-        near = near or asked.near
-        return self.tracker.ask(asked.question, self.config.deadline_ms, near=near, heard=heard)
+        near = near or pending.near
+        return self.tracker.ask(pending.request, self.config.deadline_ms, near=near, heard=callback)
 
-    def answer(self, asked: Asked, view: View | None) -> State:
-        """Take in what a query has said; None where it could not be made."""
+    def answer(self, pending: PendingQuery, view: View | None) -> State:
+        """Apply the result of a query; None if it could not be made."""
         self._open = False
         if view is not None:
-            self.tracker.take(asked.question, view)
-        return self._say(self.state.stamp, answered=asked.stamp)
+            self.tracker.take(pending.request, view)
+        return self._report(self.state.stamp, answered=pending.stamp)
 
     def forget(self) -> State:
-        """Forget where the robot is, not what was seen; with the next scan a query is due."""
+        """Forget the pose but keep the scans; the next scan triggers a query."""
         self.tracker.forget()
         self._asked_at, self._due = -math.inf, None
-        return self._say(self.state.stamp)
+        return self._report(self.state.stamp)
 
     def doubt(self, why: str) -> State:
-        """Take in that the odometry has lost an unknown motion, without a jump of its poses."""
+        """Report that the odometry has lost an unknown motion without a jump of its poses."""
         return self._jumped(Jump(np.eye(4), why))[0]
 
-    def silent(self, seconds: float) -> State:
-        """Say that nothing has come in for so long, by the clock of whoever listens."""
-        self._fault = f"nothing has come in for {seconds:.1f} s"
-        return self._say(self.state.stamp)
+    def report_silence(self, seconds: float) -> State:
+        """Report that no data was received for some time, by the caller's clock."""
+        self._fault = StateReason.NO_DATA.format(seconds=seconds)
+        return self._report(self.state.stamp)
 
-    # --- inside --------------------------------------------------------------------------------
+    # --- internal ------------------------------------------------------------------------------
 
     def _register(self, scan: Scan, stamp: float) -> list[State]:
         """Compute the odometry of a scan."""
         assert self._lidar_odometry is not None
         lost = self._lidar_odometry.losses
-        said: list[State] = []
+        states: list[State] = []
         for time, T in self._lidar_odometry.add(scan, stamp):
-            said += self.add_odometry(time, T)
+            states += self.add_odometry(time, T)
         if self._lidar_odometry.losses > lost:
-            said.append(self.doubt(self._lidar_odometry.fault))
-        return said
+            states.append(self.doubt(self._lidar_odometry.fault))
+        return states
 
     def _release(self, now: float) -> list[State]:
-        """Take in the scans whose odometry is known by now."""
-        said = []
+        """Use the scans whose odometry is now known."""
+        states = []
         while self._waiting:
             stamp, scan = self._waiting[0]
             first, last = span(scan, stamp)
@@ -241,29 +312,29 @@ class LiveCore:
                 break
             self._waiting.popleft()
             if cover is Cover.KNOWN:
-                said.append(self._place(stamp, scan))
+                states.append(self._place(stamp, scan))
             else:
                 self.dropped += 1
-                self._fault = NO_ODOMETRY
-                said.append(self._say(stamp))
-        return said
+                self._fault = StateReason.NO_ODOMETRY.value
+                states.append(self._report(stamp))
+        return states
 
     def _place(self, stamp: float, scan: Scan) -> State:
-        """Undo a scan's motion and let the tracker have it."""
+        """De-skew a scan and pass it to the tracker."""
         motion = self._odometry.motion(self.T_base_sensor)
         T_odom_sensor = motion.at([stamp])[0]
         try:
             still = self._still(scan, motion, stamp)
-            question = self.tracker.add(still, T_odom_sensor, due=self._is_due(stamp))
+            request = self.tracker.add(still, T_odom_sensor, due=self._is_due(stamp))
         except SeglocError as error:
             self.refused += 1
-            self._fault = f"scan refused: {error}"
-            return self._say(stamp)
+            self._fault = StateReason.REJECTED.format(error=error)
+            return self._report(stamp)
         self.scans += 1
         self._fault = ""
-        if question is not None:
-            self._asked_at, self._due = stamp, Asked(stamp, question)
-        return self._say(stamp, T_odom_sensor @ geometry.inverse(self.T_base_sensor))
+        if request is not None:
+            self._asked_at, self._due = stamp, PendingQuery(stamp, request)
+        return self._report(stamp, T_odom_sensor @ geometry.inverse(self.T_base_sensor))
 
     @staticmethod
     def _still(scan: Scan, motion: Motion, stamp: float) -> Scan:
@@ -274,7 +345,7 @@ class LiveCore:
         return still
 
     def _is_due(self, stamp: float) -> bool:
-        """Whether so long ago a query was made that it is time for the next."""
+        """Return whether enough time has passed since the last query."""
         if self._open or self._due is not None:
             return False
         settled = self.state.status in (Status.LOCALIZED, Status.DEGRADED)
@@ -287,23 +358,23 @@ class LiveCore:
         self._waiting.clear()
         self._due = None
         self.tracker.carry(jump.T_new_old, jump.text)
-        return [self._say(self._odometry.newest)]
+        return [self._report(self._odometry.newest)]
 
     def _set_clock(self, now: float) -> None:
-        """Stamps have gone back: what waits, and odometry of the other clock, is of no use."""
+        """Handle stamps that went back: drop waiting scans, and odometry of the other clock."""
         self.dropped += len(self._waiting)
         self._waiting.clear()
         if self._odometry.newest > now + self.config.clock_jump_s:
             self._odometry.clear()
 
     def _is_silent(self, now: float) -> bool:
-        heard = self._newest > -math.inf and not self._fault
-        return heard and now - self._newest > self.config.silent_s
+        receiving = self._newest > -math.inf and not self._fault
+        return receiving and now - self._newest > self.config.silent_s
 
-    def _say(
+    def _report(
         self, stamp: float, T_odom_base: Pose | None = None, answered: float | None = None
     ) -> State:
-        """What is known now. Nothing is believed of a robot of which no odometry is known."""
+        """Return the current state; without odometry the pose is unknown."""
         track = self.tracker.track
         status, reason = track.status, track.reason
         if self._fault:
@@ -335,7 +406,7 @@ class LiveCore:
         return self.state.T_odom_base if pose is None else pose
 
     def _covariance(self, covariance: Float64 | None) -> Float64 | None:
-        """Of the base's pose, from that of the sensor's, and never less than is to be believed."""
+        """Convert the sensor's covariance to the base's, with a lower bound."""
         if covariance is None:
             return None
         least = np.repeat([math.radians(self.config.least_deg), self.config.least_m], 3) ** 2
@@ -345,23 +416,23 @@ class LiveCore:
 
 @dataclass(frozen=True)
 class State:
-    """Pose estimate of a robot, and its certainty.
+    """Pose estimate of a robot.
 
     Attributes
     ----------
     stamp : float
-        Of the newest scan or, between scans, of the newest odometry; seconds.
+        Of the newest scan or, between scans, of the newest odometry [s].
     status : Status
         ``lost``, ``candidate``, ``localized`` or ``degraded``.
     T_map_odom : (4, 4) float64 or None
         Takes poses of the odometry to the map; None while lost or candidate. Read-only.
     T_odom_base : (4, 4) float64 or None
-        Where the base was at ``stamp``, by the odometry. Read-only.
+        Pose of the base at ``stamp``, by the odometry. Read-only.
     covariance : (6, 6) float64 or None
-        Of ``T_map_base``: of a small rotation (rad) and then a translation (m), both in the base's
-        frame. :func:`segloc.ros_covariance` gives ROS's. Read-only.
+        Of ``T_map_base``: of a small rotation [rad] and then a translation [m], both in the base's
+        frame. :func:`segloc.ros_covariance` converts it for ROS. Read-only.
     confidence : float
-        Probability of the likeliest place, in [0, 1].
+        Probability of the most probable place, in [0, 1].
     views : int
         Independent views that agree.
     reason : str
@@ -371,7 +442,8 @@ class State:
     answered : float or None
         Stamp of the query's scan if this state answers a query.
     latency_ms : float or None
-        From the arrival of that scan, or of the newest, to this state; None without a clock.
+        Time from the arrival of that scan, or of the newest one, to this state; None without a
+        clock.
     """
 
     stamp: float
@@ -393,18 +465,18 @@ class State:
 
     @property
     def localized(self) -> bool:
-        """Whether there is a pose: localized or degraded."""
+        """True if there is a pose: localized or degraded."""
         return self.T_map_odom is not None
 
     @property
     def T_map_base(self) -> Pose | None:
-        """Where the base is in the map, (4, 4) float64."""
+        """Pose of the base in the map, (4, 4) float64."""
         if self.T_map_odom is None or self.T_odom_base is None:
             return None
         return self.T_map_odom @ self.T_odom_base
 
     def record(self) -> Mapping[str, Any]:
-        """Values for JSON."""
+        """Return values for JSON."""
         return {
             "stamp": self.stamp,
             "state": self.status.value,

@@ -1,4 +1,4 @@
-"""A robot followed in threads of its own: a thin shell around :class:`LiveCore`."""
+"""Online localization in threads: a thin shell around :class:`LiveCore`."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ from ..system.checks import checked_pose
 from ..tracking.belief import View
 from ..types import Pose, Scan
 from .config import LiveConfig
-from .core import Asked, LiveCore, State
+from .core import LiveCore, PendingQuery, State
 from .kept_pose import PoseKeeper
 from .odometry import known_stamp
 
-_MOST_POSES, _MOST_SCANS = 4096, 2
-"""Odometry and scans that wait for the worker; the newest win."""
-_MOST_ARRIVALS = 256
+_MAX_POSES, _MAX_SCANS = 4096, 2
+"""Maximum queue of odometry and of scans, the newest."""
+_MAX_ARRIVALS = 256
 
 
 @dataclass(frozen=True)
-class _Pose:
+class _PoseEvent:
     stamp: float
     T_odom_base: Pose
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _ScanEvent:
     stamp: float
     scan: Scan
 
 
 @dataclass(frozen=True)
-class _Answered:
-    asked: Asked
+class _AnswerEvent:
+    pending: PendingQuery
     view: View | None
 
 
 class LiveLocalizer:
     """Localize a robot from streams of scans and odometry, each at its own rate.
 
-    One thread takes scans in, a few milliseconds each; another runs the queries. Calls return at
-    once; if the threads fall behind, old scans are dropped.
+    One thread processes scans, a few milliseconds each; another makes queries. Calls return
+    immediately; if the threads fall behind, old scans are dropped.
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ class LiveLocalizer:
         self._keeper = keeper
         self._state, self._on_state = self._core.state, on_state
         self._changed = threading.Condition()
-        self._inbox: deque[_Pose | _Taken | _Answered] = deque()
-        self._asked: Asked | None = None
-        self._busy = 0  # threads that are at work
+        self._inbox: deque[_PoseEvent | _ScanEvent | _AnswerEvent] = deque()
+        self._pending: PendingQuery | None = None
+        self._busy = 0  # working threads
         self._closed, self._error = False, None
         self._overrun = 0
         self._arrived: dict[float, float] = {}
-        names = {"intake": self._take_in, "queries": self._make_queries}
+        names = {"intake": self._process, "queries": self._make_queries}
         self._threads = [
             threading.Thread(target=self._guarded, args=(work,), name=f"segloc-{name}", daemon=True)
             for name, work in names.items()
@@ -116,17 +116,17 @@ class LiveLocalizer:
         Parameters
         ----------
         scan : Scan or (N, 3) array
-            Points in the sensor's frame, metres; with times, its motion is undone.
+            Points in the sensor's frame [m]; de-skewed if they have times.
         stamp : float, optional
-            Seconds, on the odometry's clock; by default the scan's own.
+            On the odometry's clock [s]; by default the scan's own.
 
         Raises
         ------
         InvalidScan
-            If it is no scan, or has no stamp.
+            If the scan is invalid, or has no stamp.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
-        self._put(_Taken(known_stamp(scan.stamp if stamp is None else stamp), scan))
+        self._put(_ScanEvent(known_stamp(scan.stamp if stamp is None else stamp), scan))
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
         """Add a pose of the odometry without waiting.
@@ -134,16 +134,16 @@ class LiveLocalizer:
         Parameters
         ----------
         stamp : float
-            Seconds, on the scans' clock.
+            On the scans' clock [s].
         T_odom_base : (4, 4) array
             In a frame whose z axis points up.
 
         Raises
         ------
         InvalidScan
-            If it is no pose, or the stamp is no finite number.
+            If the pose is invalid, or the stamp is not a finite number.
         """
-        self._put(_Pose(known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")))
+        self._put(_PoseEvent(known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")))
 
     @property
     def state(self) -> State:
@@ -165,7 +165,7 @@ class LiveLocalizer:
         """Wait until all input is processed; return False after the timeout."""
         with self._changed:
             done = self._changed.wait_for(
-                lambda: self._closed or not (self._inbox or self._asked or self._busy), timeout
+                lambda: self._closed or not (self._inbox or self._pending or self._busy), timeout
             )
         self._check()
         return done
@@ -194,7 +194,7 @@ class LiveLocalizer:
         if error is None:
             self._check()
 
-    # --- inside --------------------------------------------------------------------------------
+    # --- internal ------------------------------------------------------------------------------
 
     def _end(self) -> None:
         with self._changed:
@@ -213,25 +213,25 @@ class LiveLocalizer:
                 f"live localization has stopped: {kind}: {self._error}"
             ) from self._error
 
-    def _put(self, event: _Pose | _Taken) -> None:
+    def _put(self, event: _PoseEvent | _ScanEvent) -> None:
         self._check()
         with self._changed:
             if self._closed:
                 raise LiveError("live localization was closed")
-            most = _MOST_SCANS if isinstance(event, _Taken) else _MOST_POSES
+            most = _MAX_SCANS if isinstance(event, _ScanEvent) else _MAX_POSES
             alike = [e for e in self._inbox if type(e) is type(event)] if self._inbox else []
             if len(alike) >= most:
                 self._inbox.remove(alike[0])
-                self._overrun += isinstance(event, _Taken)
-            if isinstance(event, _Taken):
+                self._overrun += isinstance(event, _ScanEvent)
+            if isinstance(event, _ScanEvent):
                 self._arrived[event.stamp] = time.perf_counter()
-                if len(self._arrived) > _MOST_ARRIVALS:
+                if len(self._arrived) > _MAX_ARRIVALS:
                     self._arrived.pop(next(iter(self._arrived)))
             self._inbox.append(event)
             self._changed.notify_all()
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """What fails in a thread ends both, and is told to whoever calls next."""
+        """Run a thread; an error ends both threads and is raised by the next call."""
         try:
             work()
         except BaseException as error:
@@ -242,8 +242,8 @@ class LiveLocalizer:
                 self._closed = True
                 self._changed.notify_all()
 
-    def _take_in(self) -> None:
-        silent_s, said_s = self._core.config.silent_s, 0.0
+    def _process(self) -> None:
+        silent_s, reported_s = self._core.config.silent_s, 0.0
         while True:
             with self._changed:
                 woken = self._changed.wait_for(lambda: self._closed or self._inbox, silent_s)
@@ -252,23 +252,23 @@ class LiveLocalizer:
                 event = self._inbox.popleft() if woken else None
                 self._busy += 1
             if event is not None:
-                said_s = 0.0
-                self._publish(self._deal_with(event))
-            elif said_s == 0.0 and self._core.scans:
-                said_s = silent_s
-                self._publish([self._core.silent(silent_s)])
+                reported_s = 0.0
+                self._publish(self._handle(event))
+            elif reported_s == 0.0 and self._core.scans:
+                reported_s = silent_s
+                self._publish([self._core.report_silence(silent_s)])
             with self._changed:
-                if (asked := self._core.due()) is not None:
-                    self._asked = asked  # the newest wins
+                if (pending := self._core.due()) is not None:
+                    self._pending = pending  # the newest wins
                 self._busy -= 1
                 self._changed.notify_all()
 
-    def _deal_with(self, event: _Pose | _Taken | _Answered) -> list[State]:
-        if isinstance(event, _Pose):
+    def _handle(self, event: _PoseEvent | _ScanEvent | _AnswerEvent) -> list[State]:
+        if isinstance(event, _PoseEvent):
             return self._core.add_odometry(event.stamp, event.T_odom_base)
-        if isinstance(event, _Taken):
+        if isinstance(event, _ScanEvent):
             return self._core.add_scan(event.scan, event.stamp)
-        return [self._core.answer(event.asked, event.view)]
+        return [self._core.answer(event.pending, event.view)]
 
     def _publish(self, states: list[State]) -> None:
         now = time.perf_counter()
@@ -284,15 +284,15 @@ class LiveLocalizer:
     def _make_queries(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._asked is not None)
-                if self._closed or self._asked is None:
+                self._changed.wait_for(lambda: self._closed or self._pending is not None)
+                if self._closed or self._pending is None:
                     return
-                asked, self._asked = self._asked, None
+                pending, self._pending = self._pending, None
                 self._busy += 1
             view: View | None = None
-            with suppress(SeglocError):  # a query that cannot be made finds nothing
-                view = self._core.ask(asked)
+            with suppress(SeglocError):  # a failed query has no result
+                view = self._core.ask(pending)
             with self._changed:
-                self._inbox.append(_Answered(asked, view))
+                self._inbox.append(_AnswerEvent(pending, view))
                 self._busy -= 1
                 self._changed.notify_all()

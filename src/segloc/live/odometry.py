@@ -1,4 +1,4 @@
-"""Odometry as it comes: kept for some seconds, its jumps noticed, its gaps left open."""
+"""Buffer of odometry that detects jumps and gaps."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..system.checks import checked_stamp
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 
-_MOST_POSES = 4096
+_MAX_POSES = 4096
 
 
 class Cover(Enum):
-    """Whether odometry tells where a sensor was over a stretch of time."""
+    """Whether odometry covers a stretch of time."""
 
     KNOWN = "known"
     LATER = "later"
@@ -29,14 +29,14 @@ class Cover(Enum):
 
 @dataclass(frozen=True)
 class Jump:
-    """A step that no robot makes.
+    """Step larger than a robot can make.
 
     Attributes
     ----------
     T_new_old : (4, 4) float64
         From the odometry's frame before the jump to that after it, if the robot stood still.
     text : str
-        What happened, for people.
+        Description.
     """
 
     T_new_old: Pose
@@ -49,12 +49,12 @@ class Odometry:
     Attributes
     ----------
     late : int
-        Poses that came too late to be of use.
+        Number of poses received too late.
     """
 
     def __init__(self, config: LiveConfig) -> None:
         self._config = config
-        self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
+        self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MAX_POSES)
         self.late = 0
 
     def __len__(self) -> int:
@@ -62,16 +62,16 @@ class Odometry:
 
     @property
     def newest(self) -> float:
-        """Stamp of the newest pose; minus infinity where there is none."""
+        """Stamp of the newest pose; minus infinity if there is none."""
         return self._kept[-1][0] if self._kept else -math.inf
 
     @property
     def pose(self) -> Pose | None:
-        """T_odom_base of the newest one."""
+        """T_odom_base of the newest pose."""
         return self._kept[-1][1] if self._kept else None
 
     def add(self, stamp: float, T_odom_base: Pose) -> Jump | None:
-        """Add a pose; what went before a jump, or before the clock was set, is forgotten."""
+        """Add a pose; a jump or a new clock clears earlier poses."""
         jump = None
         if self._kept:
             last, before = self._kept[-1]
@@ -88,7 +88,7 @@ class Odometry:
         return jump
 
     def _jump(self, before: Pose, after: Pose, seconds: float, back: bool) -> Jump | None:
-        """Where the clock was set, time tells nothing: then any step beyond the least is one."""
+        """Detect a jump; after a new clock, speed is unknown and only the step counts."""
         config, step = self._config, geometry.inverse(before) @ after
         metres = float(np.linalg.norm(step[:3, 3]))
         degrees = math.degrees(geometry.rotation_angle(step))
@@ -101,14 +101,14 @@ class Odometry:
         return Jump(after @ geometry.inverse(before), f"the odometry jumped by {size}")
 
     def cover(self, first: float, last: float, now: float) -> Cover:
-        """Whether poses are known all the way from one stamp to another.
+        """Return whether poses cover the time from one stamp to another.
 
         Parameters
         ----------
         first, last : float
             Seconds.
         now : float
-            The newest stamp of all that has come in.
+            The newest stamp received.
         """
         if self.newest < last:
             return Cover.LATER if now <= last + self._config.wait_s else Cover.NEVER
@@ -121,7 +121,7 @@ class Odometry:
         return Cover.NEVER if (gaps > self._config.max_gap_s).any() else Cover.KNOWN
 
     def motion(self, T_base_sensor: Pose) -> Motion:
-        """The sensor's path; with a single pose it rests there."""
+        """Return the sensor's trajectory; with a single pose it rests."""
         stamps, poses = self._stamps(), np.stack([T for _, T in self._kept]) @ T_base_sensor
         if len(stamps) == 1:
             stamps, poses = np.append(stamps, stamps + 1.0), np.repeat(poses, 2, axis=0)
@@ -131,26 +131,26 @@ class Odometry:
         return np.array([stamp for stamp, _ in self._kept], dtype=np.float64)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Drop all poses."""
         self._kept.clear()
 
 
 def known_stamp(stamp: float | None) -> float:
-    """A stamp that must be there.
+    """Return a required stamp.
 
     Raises
     ------
     InvalidScan
-        If it is not, or no finite number.
+        If it is missing or not a finite number.
     """
     time = checked_stamp(stamp)
     if time is None:
-        raise InvalidScan("a stamp is needed: the time of a scan or of a pose, seconds")
+        raise InvalidScan("stamp missing: pass the time of the scan or pose in seconds")
     return time
 
 
 def span(scan: Scan, stamp: float) -> tuple[float, float]:
-    """When the first and the last point of a scan were measured."""
+    """Return when the first and the last point of a scan were measured."""
     if scan.times is None or not times_fit(scan):
         return stamp, stamp
     return stamp + min(0.0, float(scan.times.min())), stamp + max(0.0, float(scan.times.max()))

@@ -1,4 +1,4 @@
-"""A recording played to a robot's localization: scan by scan, or as fast as it was recorded."""
+"""Replay a recording through online localization, in turn or in real time."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from .kept_pose import PoseKeeper
 from .localizer import LiveLocalizer
 
 NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
-"""Between scans without times, and no faster than this."""
+"""Interval of scans without stamps, and speed limit for it."""
 
-Heard = Callable[[int, State], None]
+StateCallback = Callable[[int, State], None]
 Progress = Callable[[int, int], None]
 _SHARES = (50, 99)
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What was said while a recording was played.
+    """States of a replayed recording.
 
     Attributes
     ----------
     states : dict of int to State
-        By the position of the newest scan: the last that was said before the next one.
+        By position of the newest scan: the last state before the next scan.
     latency_ms, query_ms : (S,), (Q,) float64
-        From when a scan came in until it was taken in, and until its query was answered.
+        Time from the arrival of a scan until it was used, and until its query was answered.
     scans, dropped : int
-        Taken in, and not.
+        Scans used, and dropped.
     """
 
     states: dict[int, State]
@@ -49,16 +49,16 @@ class Replay:
 
     @property
     def positions(self) -> Int64:
-        """Of the scans that something was said at, rising, (N,)."""
+        """Positions of scans with a state, rising, (N,)."""
         return np.array(sorted(self.states), dtype=np.int64)
 
 
 class _Listener:
-    """Keeps the last state of every scan, and tells of every state."""
+    """Keep the last state of every scan, and call back for every state."""
 
-    def __init__(self, clock: Float64, heard: Heard | None) -> None:
+    def __init__(self, clock: Float64, on_state: StateCallback | None) -> None:
         self._positions = {float(stamp): i for i, stamp in enumerate(clock)}
-        self._heard = heard
+        self._on_state = on_state
         self.states: dict[int, State] = {}
         self._latency: list[float] = []
         self._query: list[float] = []
@@ -70,8 +70,8 @@ class _Listener:
         self._keep(position, state)
         self._tell(position)
 
-    def hear(self, position: int, states: list[State]) -> None:
-        """Take what was said of a scan; the last of it counts."""
+    def add(self, position: int, states: list[State]) -> None:
+        """Add the states at a scan; the last one counts."""
         for state in states:
             self._keep(position, state)
         self._tell(position)
@@ -83,8 +83,8 @@ class _Listener:
             which.append(state.latency_ms)
 
     def _tell(self, position: int) -> None:
-        if self._heard is not None and position in self.states:
-            self._heard(position, self.states[position])
+        if self._on_state is not None and position in self.states:
+            self._on_state(position, self.states[position])
 
     def replay(self, scans: int, dropped: int) -> Replay:
         return Replay(self.states, np.array(self._latency), np.array(self._query), scans, dropped)
@@ -117,11 +117,11 @@ def play(
     recording: Recording,
     config: LiveConfig | None = None,
     rate: float = 0.0,
-    heard: Heard | None = None,
+    on_state: StateCallback | None = None,
     progress: Progress | None = None,
     keeper: PoseKeeper | None = None,
 ) -> Replay:
-    """Play a recording, its poses as the odometry of its sensor.
+    """Replay a recording with its poses as the odometry of its sensor.
 
     Parameters
     ----------
@@ -131,10 +131,9 @@ def play(
         by KISS-ICP.
     config : LiveConfig, optional
     rate : float
-        How many times as fast as it was recorded, in threads: scans that are late are dropped. 0:
-        as fast as it goes, every scan and every query in its turn, so that the same recording gives
-        the same states.
-    heard : callable, optional
+        Speed relative to the recording, in threads: late scans are dropped. 0: as fast as
+        possible, every scan and query in turn, so that the states repeat.
+    on_state : callable, optional
         Called with the position of the scan and each state.
     progress : callable, optional
         Called with (scans done, scans in all).
@@ -150,7 +149,7 @@ def play(
     """
     clock, poses = clock_of(recording), motion_of(recording)
     speed = rate or 1.0
-    listener = _Listener(clock / speed, heard)
+    listener = _Listener(clock / speed, on_state)
     play = _in_time if rate > 0 else _in_turn
     scans, dropped = play(
         localizer, recording, config, clock / speed, poses, listener, progress or _silent, keeper
@@ -175,11 +174,11 @@ def _in_turn(
     for i, stamp in enumerate(clock.tolist()):
         scan = recording.scan(i)
         begun = time.perf_counter()
-        said = [] if poses is None else core.add_odometry(stamp, poses[i])
-        said = _timed(said + core.add_scan(scan, stamp), begun)
-        while (asked := core.due()) is not None:
-            said += _timed([core.answer(asked, core.ask(asked))], begun)
-        listener.hear(i, said)
+        states = [] if poses is None else core.add_odometry(stamp, poses[i])
+        states = _timed(states + core.add_scan(scan, stamp), begun)
+        while (pending := core.due()) is not None:
+            states += _timed([core.answer(pending, core.ask(pending))], begun)
+        listener.add(i, states)
         progress(i + 1, len(recording))
     return core.scans, core.dropped
 
@@ -194,7 +193,7 @@ def _in_time(
     progress: Progress,
     keeper: PoseKeeper | None,
 ) -> tuple[int, int]:
-    """Scans come when they came; one that cannot be read in time is left out."""
+    """Replay in real time; scans that cannot be read in time are dropped."""
     missed, count = 0, len(recording)
     with LiveLocalizer(
         localizer,
@@ -254,11 +253,11 @@ def summary(
     tolerance_m: float,
     tolerance_deg: float,
 ) -> dict[str, Any]:
-    """Shares, lengths and times, in values that JSON can hold.
+    """Return shares, lengths and times as JSON values.
 
-    ``localized_share`` counts scans; ``first_fix_m`` is travelled until the first fix; ``false_m``
-    are the metres travelled up to scans whose published pose is farther off than the tolerance,
-    localized and degraded alike.
+    ``localized_share`` counts scans; ``first_fix_m`` is the distance to the first fix; ``false_m``
+    is the distance travelled up to scans whose published pose, localized or degraded, is off by
+    more than the tolerance.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sessions with drifting poses, brought into one frame, or into that of a map."""
+"""Align sessions with drifting poses, to each other or to a map."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .to_map import align_to_map as align_to_map
 
 if TYPE_CHECKING:
     from .graph import Edges as Edges
-    from .graph import joined_edges as joined_edges
+    from .graph import concatenate_edges as concatenate_edges
     from .graph import solve_robustly as solve_robustly
 else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
-            "graph": "Edges joined_edges solve_robustly",
+            "graph": "Edges concatenate_edges solve_robustly",
         },
     )

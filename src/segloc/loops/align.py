@@ -1,9 +1,9 @@
-"""Sessions with poses that drift, each in its own frame -> poses in one frame.
+"""Align sessions with drifting poses, each in its own frame, to one frame.
 
-Submaps are localized in the parts before them that they vote for, in a map that grows part by part:
-parts of other sessions, and far ones of their own. What is found and agreed upon ties the sessions
-into one pose graph; optimised, it brings submaps of different passes so close that ICP between
-neighbours ties them densely, and is optimised again.
+Submaps are localized in the earlier parts that they vote for, of other sessions and distant parts
+of their own. Loops that agree with each other join the sessions in one pose graph. Once optimised,
+neighbouring submaps of different passes are close enough for ICP; their loops are added and the
+graph is optimised again.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from .consistency import supported
 from .loops import Chain, Loop, Progress, edges_of, neighbours
 from .session_graph import SessionGraph
 from .submaps import Session
-from .tasks import Described, Stage, describe_all, find_loops, opened_workspace, tie
+from .tasks import Described, Stage, describe_all, find_loops, open_workspace, tie
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Sessions in one frame, or in as few as could be justified.
+    """Sessions in one frame, or in as few as loops justify.
 
     Attributes
     ----------
     names : list of str
-        Of the sessions.
+        Names of the sessions.
     indices : list of (N,) int64
-        The numbers of their scans.
+        Scan numbers of each session.
     odometry : list of (N, 4, 4) float64
-        T_odom_sensor, as they came.
+        T_odom_sensor, as given.
     poses : list of (N, 4, 4) float64
         T_world_sensor. The world of a component is the frame of its first session.
     components : list of list of int
-        Sessions that are connected, the largest component first.
+        Connected sessions, the largest component first.
     loops : list of Loop
         Accepted and rejected.
     loop_sessions : (L, 2) int64
         The sessions of each loop's target and source.
     loop_scans : (L, 2) int64
-        The numbers of the scans that they stand at.
+        Scan numbers of each loop's target and source.
     """
 
     names: list[str]
@@ -89,26 +89,26 @@ def align_sessions(
         recordings must be picklable; workers read their files.
     folder : path, optional
         Folder for submaps (200 MB per kilometre), under the same path for all workers; emptied at
-        the end. By default the system's folder for temporary files.
+        the end. By default the system's temporary folder.
 
     Raises
     ------
     ConfigError
-        If there is no recording.
+        If there are no recordings.
     DatasetError
-        Naming the session: if it has no scans, no poses, or nothing that could be segmented.
+        If a session has no scans, poses or segments; names the session.
     SeglocError
-        If a file cannot be written, or a process was ended again and again.
+        If a file cannot be written, or a process was killed repeatedly.
     """
     config, settings, stage = config or Config(), settings or AlignConfig(), stage or silent
     if not recordings:
-        raise ConfigError("there is no session to align")
+        raise ConfigError("no sessions to align")
     opened = [as_recording(each) for each in recordings]
     sessions = [_session(k, recording, settings) for k, recording in enumerate(opened)]
     chain = Chain.of(sessions, settings.part_m)
-    with opened_workspace(config, settings, executor, folder) as own:
+    with open_workspace(config, settings, executor, folder) as own:
         describe_all(own, _tasks(opened, sessions, settings), stage)
-        with stage("Looking for loops") as update:
+        with stage("Searching loops") as update:
             found = find_loops(own, chain, update)
         graph = SessionGraph(chain, supported(chain, found, settings), settings)
         graph.optimise()
@@ -157,21 +157,20 @@ def _alignment(sessions: Sequence[Session], chain: Chain, graph: SessionGraph) -
 
 @contextmanager
 def silent(label: str) -> Iterator[Progress]:
-    """A stage whose progress nobody sees."""
+    """Provide a stage without progress output."""
     yield lambda done, total: None
 
 
 def spread(session: Session, nodes: Float64) -> Float64:
-    """T_world_sensor of every scan, (N, 4, 4).
+    """Return T_world_sensor of every scan, (N, 4, 4).
 
-    Interpolate between the neighbouring submaps by distance travelled: linear in position, slerp
-    in rotation.
-
+    Interpolates between neighbouring submaps by distance travelled: linear in position, slerp in
+    rotation.
     Parameters
     ----------
     session : Session
     nodes : (S, 4, 4) float64
-        T_world_local of its submaps.
+        T_world_local of the submaps.
     """
     travelled, marks = session.travelled, session.node_travelled
     after = np.clip(np.searchsorted(marks, travelled), 1, max(len(marks) - 1, 1)) % len(marks)

@@ -1,7 +1,7 @@
-"""Which loops agree with others; after J. Mangelson et al., "Pairwise Consistent Measurement Set
+"""Check loops against each other, after J. Mangelson et al., "Pairwise Consistent Measurement Set
 Maximization for Robust Multi-robot Map Merging", ICRA 2018: two loops and the odometry between
-their ends make a circle that must close. Here each loop must agree with its neighbours, so that
-large drift between distant loops is no reason to drop one.
+their ends form a cycle that must close. Each loop must agree with its neighbours only, so that
+large drift between distant loops rejects none.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from .loops import Chain, Loop, edges_of
 
 
 def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop]:
-    """The loops, those rejected that too few neighbours agree with, or more disagree than agree."""
+    """Return the loops; reject those with too few or mostly disagreeing neighbours."""
     candidates = [k for k, loop in enumerate(loops) if loop.accepted]
     if not candidates:
         return loops
     first, second, agree = _compared(chain, [loops[k] for k in candidates], config)
     believed = np.ones(len(candidates), dtype=bool)
     reasons = [""] * len(candidates)
-    while True:  # a loop that is dropped supports no other
+    while True:  # a rejected loop supports no other
         voice = believed[second]
         pro = np.bincount(first[voice & agree], minlength=len(candidates))
         contra = np.bincount(first[voice & ~agree], minlength=len(candidates))
@@ -35,7 +35,7 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
         if not len(dropped):
             break
         for i in dropped:
-            reasons[i] = f"{pro[i]} loops near it agree and {contra[i]} do not"
+            reasons[i] = f"{pro[i]} neighbouring loops agree and {contra[i]} do not"
         believed[dropped] = False
     result = list(loops)
     for k, reason in zip(candidates, reasons, strict=True):
@@ -46,10 +46,10 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
 def _compared(
     chain: Chain, loops: list[Loop], config: AlignConfig
 ) -> tuple[Int64, Int64, NDArray[np.bool_]]:
-    """All pairs of loops that are near each other in travel, both ways, and which agree."""
+    """Return all pairs of loops near each other in travel, both ways, and which agree."""
     edges = edges_of(loops)
     first, second = _near(chain, edges, config.support_m)
-    # Where a loop says that the frame of the source's session lies in that of the target's.
+    # T_target_source of the sessions' frames implied by each loop.
     T = chain.odometry[edges.first] @ edges.T @ np.linalg.inv(chain.odometry[edges.second])
     between = np.abs(_travels(chain, edges)[first] - _travels(chain, edges)[second]).sum(axis=1)
     where = chain.odometry[edges.second[first], :3, 3]
@@ -57,12 +57,12 @@ def _compared(
 
 
 def _travels(chain: Chain, edges: Edges) -> Float64:
-    """Metres travelled up to both ends of each loop, (E, 2)."""
+    """Return the distance travelled to both ends of each loop (E, 2) [m]."""
     return np.stack([chain.travelled[edges.first], chain.travelled[edges.second]], axis=1)
 
 
 def _near(chain: Chain, edges: Edges, reach_m: float) -> tuple[Int64, Int64]:
-    """Pairs of loops between the same sessions whose ends are near each other in travel."""
+    """Pair loops between the same sessions whose ends are near each other in travel."""
     count = chain.sessions
     sessions = chain.session[edges.first] * count + chain.session[edges.second]
     travels = _travels(chain, edges)
@@ -80,7 +80,7 @@ def _near(chain: Chain, edges: Edges, reach_m: float) -> tuple[Int64, Int64]:
 def _agree(
     T: Float64, others: Float64, where: Float64, between: Float64, config: AlignConfig
 ) -> NDArray[np.bool_]:
-    """Whether frames agree at points, to what drift may do over the path between the loops."""
+    """Return whether frames agree at points, within the drift between the loops."""
     delta = np.linalg.inv(T) @ others
     moved = np.einsum("nij,nj->ni", delta[:, :3, :3], where) + delta[:, :3, 3]
     shift = np.linalg.norm(moved - where, axis=1)

@@ -1,4 +1,4 @@
-"""Loops found while a robot drives: what a SLAM back-end ties its pose graph with."""
+"""Online loop detection for the pose graph of a SLAM back-end."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ from ..types import Float64, LocalCloud, Pose, Scan
 from .config import AlignConfig
 from .consistency import supported
 from .loops import Chain, Loop, SubmapRegistration, registered
-from .submaps import Submap, lean_submap
+from .submaps import Submap, make_submap
 
 
 class LoopConfig(AlignConfig):
-    """When loops are looked for, and when they are believed."""
+    """Settings of online loop detection."""
 
-    part_m: float = Field(80.0, gt=0, description="travel of the parts that are searched")
+    part_m: float = Field(80.0, gt=0, description="length of the searched parts, metres")
     min_support: int = Field(
-        1, ge=0, description="other loops that must agree before a loop is told; 0: none"
+        1, ge=0, description="number of other loops that must agree before a loop is returned"
     )
     reach_m: float = Field(
-        25.0, gt=0, description="parts nearer than this, plus the drift since, are searched"
+        25.0, gt=0, description="range within which parts are searched, plus drift, metres"
     )
-    max_parts: int = Field(64, ge=1, description="parts that are kept; the oldest are forgotten")
+    max_parts: int = Field(64, ge=1, description="number of parts kept, the newest")
 
 
 @dataclass(frozen=True)
 class LoopClosure:
-    """Two scans of one place.
+    """Loop between two scans of one place.
 
     Attributes
     ----------
     i, j : int
-        Numbers of the scans, counted from 0 as they were added; i is the earlier one.
+        Scan numbers in order of adding, from 0; i < j.
     T_i_j : (4, 4) float64
-        From the sensor's frame at scan j to that at scan i.
+        Takes points from the sensor's frame at scan j to that at scan i.
     covariance : (6, 6) float64
-        Of a small rotation (rad) and then a translation (m), both in the frame of j.
+        Of a small rotation [rad], then a translation [m], both in the frame of j.
     confidence : float
-        Calibrated probability, in [0, 1], that the place is right, before other loops agreed.
+        Posterior probability of the place, in [0, 1], before agreement with other loops.
     """
 
     i: int
@@ -65,7 +65,7 @@ class LoopClosure:
 
 @dataclass(frozen=True)
 class _Node:
-    """A keyframe: what was seen at it, in which scan."""
+    """Keyframe with its submap."""
 
     scan: int
     travelled: float
@@ -75,7 +75,7 @@ class _Node:
 
 @dataclass(frozen=True)
 class _Part:
-    """A stretch of the path, as a map in the odometry's frame."""
+    """Stretch of the trajectory as a map in the odometry's frame."""
 
     nodes: range
     localizer: Localizer | None
@@ -111,7 +111,7 @@ class LoopDetector:
         self._register = SubmapRegistration(self._submaps, self.settings, self.config.threads)
         self._parts: deque[_Part] = deque()
         self._growing: SegmentMap | None = None
-        self._first = 0  # node that the growing part begins with
+        self._first = 0  # first node of the growing part
         self._count = self._scans = 0
         self._travelled, self._last = 0.0, None
         self._found: list[tuple[Loop, float]] = []
@@ -120,7 +120,7 @@ class LoopDetector:
     _last: Pose | None
 
     def __len__(self) -> int:
-        """How many keyframes are kept."""
+        """Number of keyframes kept."""
         return len(self._nodes)
 
     def add(
@@ -155,7 +155,7 @@ class LoopDetector:
         return self._visit(number, T)
 
     def _visit(self, number: int, T_odom_sensor: Pose) -> list[LoopClosure]:
-        """Make a keyframe here, and look where it was seen before."""
+        """Make a keyframe here, and search for loops."""
         node, query = self._keyframe(number, T_odom_sensor)
         self._nodes[self._count], self._submaps[self._count] = node, node.submap
         for part in self._near(node):
@@ -175,14 +175,14 @@ class LoopDetector:
         short_descriptors = self._descriptor.describe(short.segments)
         add_view(self._growing, View(T_odom_local, float(number), short), short_descriptors)
         radius = self.config.local_cloud.radius_m
-        submap = lean_submap(T_odom_local, scene, descriptors, short, settings, radius)
+        submap = make_submap(T_odom_local, scene, descriptors, short, settings, radius)
         T_local_sensor = geometry.inverse(T_odom_local) @ T_odom_sensor
         level = LocalCloud(submap.scene.structure, np.eye(4))
         node = _Node(number, self._travelled, T_local_sensor, submap)
         return node, Query(level, submap.scene, descriptors)
 
     def _grow(self, view: View, number: int) -> None:
-        """Begin the next part where the last is long enough; the oldest is forgotten."""
+        """Start the next part if the last is long enough; forget the oldest."""
         first = self._nodes.get(self._first)
         ended = first and self._travelled - first.travelled >= self.settings.part_m
         if self._growing is not None and not ended:
@@ -203,7 +203,7 @@ class LoopDetector:
         self._found = [f for f in self._found if f[0].target in self._nodes]
 
     def _near(self, node: _Node) -> list[_Part]:
-        """Parts far back along the path that may be near, as far as odometry is to be trusted."""
+        """Return earlier parts within reach of the keyframe, plus drift."""
         settings, near = self.settings, []
         for part in self._parts:
             ago = node.travelled - self._nodes[part.nodes[-1]].travelled
@@ -218,7 +218,7 @@ class LoopDetector:
     def _look(self, part: _Part, query: Query, source: int) -> None:
         assert part.localizer is not None
         answer = part.localizer.locate(query)
-        T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
+        T_odom_local = answer.T_map_sensor  # here the sensor's frame is the local one
         if T_odom_local is None:
             return
         poses = np.stack([self._submaps[k].T_odom_local for k in part.nodes])
@@ -231,7 +231,7 @@ class LoopDetector:
             self._found.append((replace(loop, inliers=answer.inliers), answer.confidence))
 
     def _tell(self) -> list[LoopClosure]:
-        """The loops that enough others agree with, each once."""
+        """Return new loops that enough others agree with."""
         here = self._travelled
         reach = 2.0 * self.settings.support_m
         self._found = [f for f in self._found if here - self._nodes[f[0].source].travelled <= reach]
@@ -245,7 +245,7 @@ class LoopDetector:
         return told
 
     def _agreeing(self) -> list[Loop]:
-        """The loops that were found of late; those that too few agree with have a reason."""
+        """Return recent loops, with a reason for those that too few agree with."""
         loops = [loop for loop, _ in self._found]
         if not loops or not self.settings.min_support:
             return loops
@@ -260,14 +260,13 @@ class LoopDetector:
         placed = [
             replace(loop, target=place[loop.target], source=place[loop.source]) for loop in loops
         ]
-        judged = supported(chain, placed, self.settings)
+        checked = supported(chain, placed, self.settings)
         return [
-            replace(loop, reason=verdict.reason)
-            for loop, verdict in zip(loops, judged, strict=True)
+            replace(loop, reason=result.reason) for loop, result in zip(loops, checked, strict=True)
         ]
 
     def _closure(self, loop: Loop, confidence: float) -> LoopClosure:
-        """A loop between the local frames of two keyframes as one between their sensors."""
+        """Convert a loop between local frames of keyframes to one between their sensors."""
         i, j = self._nodes[loop.target], self._nodes[loop.source]
         T = geometry.inverse(i.T_local_sensor) @ loop.T_target_source @ j.T_local_sensor
         covariance = geometry.rotated_covariance(loop.covariance, j.T_local_sensor)
@@ -276,7 +275,7 @@ class LoopDetector:
 
 
 def _quick(config: Config) -> Config:
-    """Without what searches a whole map where segments say little: another keyframe will do."""
+    """Return the configuration without searches of a whole map: the next keyframe follows soon."""
     return config.model_copy(
         update={
             "occupancy": config.occupancy.model_copy(update={"enabled": False}),

@@ -20,16 +20,16 @@ from scipy.spatial.transform import Rotation
 from ..types import Float64, Int64
 
 CHI2_6 = 16.81
-"""What the squared residual of a right loop exceeds once in a hundred times."""
+"""99 % quantile of the squared residual of a correct loop."""
 
-_KERNEL = CHI2_6 / (np.sqrt(2.0) - 1.0)  # the weight of a residual of CHI2_6 is then one half
+_KERNEL = CHI2_6 / (np.sqrt(2.0) - 1.0)  # the weight at CHI2_6 is 1/2
 _COOLING = 1.6
 _STEPS = 3
 
 
 @dataclass(frozen=True)
 class Edges:
-    """E measured relative poses.
+    """Measured relative poses of E edges.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Edges:
     T : (E, 4, 4) float64
         T_first_second.
     covariance : (E, 6, 6) float64
-        Of rotation (rad) and translation (m), frame of ``second``.
+        Of rotation [rad] and translation [m], in the frame of ``second``.
     """
 
     first: Int64
@@ -50,19 +50,19 @@ class Edges:
         return len(self.first)
 
     def whitening(self) -> Float64:
-        """(E, 6, 6) W with the information matrix ``W^T W``."""
+        """Return W (E, 6, 6) with the information matrix ``W^T W``."""
         lower = np.linalg.cholesky(np.linalg.inv(self.covariance))
         return np.ascontiguousarray(lower.transpose(0, 2, 1))
 
 
-def joined_edges(parts: list[Edges]) -> Edges:
-    """The edges of all parts, in their order."""
+def concatenate_edges(parts: list[Edges]) -> Edges:
+    """Return the edges of all parts, in order."""
     names = ("first", "second", "T", "covariance")
     return Edges(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def residuals(poses: Float64, edges: Edges) -> Float64:
-    """What is left of each edge, (E, 6): rotation vector (rad) and translation (m)."""
+    """Return the residual of each edge (E, 6): rotation vector [rad] and translation [m]."""
     A, B = poses[edges.first], poses[edges.second]
     RzT = edges.T[:, :3, :3].transpose(0, 2, 1)
     RaT = A[:, :3, :3].transpose(0, 2, 1)
@@ -73,14 +73,14 @@ def residuals(poses: Float64, edges: Edges) -> Float64:
 
 
 def squared_errors(poses: Float64, edges: Edges) -> Float64:
-    """The squared Mahalanobis length of each residual, (E,)."""
+    """Return the squared Mahalanobis length of each residual, (E,)."""
     whitened = np.einsum("nij,nj->ni", edges.whitening(), residuals(poses, edges))
     squares: Float64 = np.square(whitened).sum(axis=1)
     return squares
 
 
 def jacobians(poses: Float64, edges: Edges) -> tuple[Float64, Float64]:
-    """Derivatives of :func:`residuals` by the first and the second pose, (E, 6, 6) each."""
+    """Return derivatives of :func:`residuals` by the first and the second pose, (E, 6, 6) each."""
     A, B = poses[edges.first], poses[edges.second]
     RzT = edges.T[:, :3, :3].transpose(0, 2, 1)
     RaT = A[:, :3, :3].transpose(0, 2, 1)
@@ -97,8 +97,8 @@ def jacobians(poses: Float64, edges: Edges) -> tuple[Float64, Float64]:
     return first, second
 
 
-def moved(poses: Float64, steps: Float64) -> Float64:
-    """Poses (N, 4, 4) perturbed by (N, 6) rotations and translations."""
+def perturb(poses: Float64, steps: Float64) -> Float64:
+    """Perturb poses (N, 4, 4) by rotations and translations (N, 6)."""
     result: Float64 = poses.copy()
     R = poses[:, :3, :3]
     result[:, :3, :3] = R @ Rotation.from_rotvec(steps[:, :3]).as_matrix()
@@ -109,18 +109,18 @@ def moved(poses: Float64, steps: Float64) -> Float64:
 def solve(
     poses: Float64, edges: Edges, weights: Float64, fixed: Int64, *, steps: int = 30
 ) -> Float64:
-    """The poses of least weighted squares, by Levenberg-Marquardt from ``poses``.
+    """Minimise the weighted squared residuals by Levenberg-Marquardt.
 
     Parameters
     ----------
     poses : (N, 4, 4) float64
-        Each must be tied to one of ``fixed`` by edges.
+        Initial poses; each must be connected to a node of ``fixed``.
     edges : Edges
     weights : (E,) float64
     fixed : (F,) int64
-        Nodes that stay where they are.
+        Nodes that are not moved.
     steps : int
-        At most so many.
+        Maximum number of iterations.
     """
     if not len(edges):
         return poses
@@ -134,7 +134,7 @@ def solve(
             step = np.zeros((len(poses), 6))
             damped = (H + damping * sparse.diags(H.diagonal())).tocsc()
             step[free] = splu(damped, permc_spec="MMD_AT_PLUS_A").solve(-g).reshape(-1, 6)
-            trial = moved(poses, step)
+            trial = perturb(poses, step)
             trial_cost = _cost(trial, edges, whitening)
             if trial_cost <= cost:
                 break
@@ -151,10 +151,10 @@ def solve(
 def solve_robustly(
     poses: Float64, edges: Edges, loops: NDArray[np.bool_], fixed: Int64
 ) -> tuple[Float64, Float64]:
-    """Poses, and how far each edge is believed, (E,) in [0, 1]; 1 where it is no loop.
+    """Optimise poses and the weight of each edge, (E,) in [0, 1]; 1 for odometry.
 
-    Starts from the convex problem, in which every loop counts, and lets those that contradict the
-    rest lose their weight step by step, so that large drift is no reason to drop a right loop.
+    Starts from the convex problem with all loops, then lowers the weights of outliers step by step,
+    so that large drift rejects no correct loop.
     """
     weights = np.ones(len(edges))
     poses = solve(poses, edges, weights, fixed)
@@ -201,7 +201,7 @@ def _normal_equations(
 
 
 def _cross(v: Float64) -> Float64:
-    """The matrices of the cross product with (N, 3) vectors, (N, 3, 3)."""
+    """Return the cross-product matrices (N, 3, 3) of vectors (N, 3)."""
     x, y, z = v.T
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -210,7 +210,7 @@ def _cross(v: Float64) -> Float64:
 
 
 def _inverse_right_jacobian(turn: Float64) -> Float64:
-    """Of SO(3) at (N, 3) rotation vectors; Solà et al., arXiv 1812.01537, equation 144."""
+    """Inverse right Jacobian of SO(3) at (N, 3); Solà et al., arXiv 1812.01537, equation 144."""
     angle = np.linalg.norm(turn, axis=1)
     safe = np.maximum(angle, 1e-4)
     share = np.where(

@@ -1,10 +1,9 @@
-"""Which parts may show what a submap shows: votes in thin maps of the parts before it.
+"""Select the parts that may match a submap, by votes in thin maps of the earlier parts.
 
-A thin map is made of each block of 1, 2, 4, 8... parts that follow one another. Each part lies in
-it at a place of its own, far from all others, so that a vote for poses says which parts they are
-in. The first so many parts are one block for each binary digit of their number: a submap votes in
-so few maps, however many parts there are, and each map is made once. So the time grows with the
-length and its logarithm.
+A thin map is built for each block of 1, 2, 4, 8... consecutive parts. In it the parts lie far apart
+from each other, so a vote for a pose identifies its part. The first n parts are covered by one
+block per binary digit of n: a submap votes in that many maps, and each map is built once. The time
+grows with the length times its logarithm.
 """
 
 from __future__ import annotations
@@ -26,17 +25,17 @@ from .loops import Chain
 from .submaps import Submap
 
 SPACING = 5.185
-"""Between parts, as a multiple of their length: no multiple of the cells that votes fall into."""
+"""Spacing of parts, in part lengths; no multiple of the vote's cell size."""
 _VIEWS = CompactConfig(max_views=2)
 
 
 def thin(prior_map: SegmentMap) -> SegmentMap:
-    """The best views of each object of a part, without a cloud."""
+    """Return the best views of each object of a part, without a cloud."""
     return prior_map.kept(best_views(prior_map, _VIEWS), np.zeros(len(prior_map.cloud), dtype=bool))
 
 
-def laid_out(parts: list[SegmentMap], part_m: float) -> SegmentMap:
-    """Thin parts as one map: in their order, each about a place of its own, as a session."""
+def lay_out(parts: list[SegmentMap], part_m: float) -> SegmentMap:
+    """Return thin parts as one map, each at a place and in a session of its own."""
     side, spacing_m = _side(len(parts)), SPACING * part_m
     slots = [(k % side * spacing_m, k // side * spacing_m, 0.0) for k in range(len(parts))]
     moved = [_moved(part, k, slot) for k, (part, slot) in enumerate(zip(parts, slots, strict=True))]
@@ -57,7 +56,7 @@ def _moved(part: SegmentMap, k: int, place: tuple[float, float, float]) -> Segme
 
 
 def blocks_of(known: int) -> list[range]:
-    """The blocks that the first so many parts are made of, the largest first."""
+    """Return the blocks that cover the first ``known`` parts, the largest first."""
     blocks, first = list[range](), 0
     for digit in reversed(range(known.bit_length())):
         if known >> digit & 1:
@@ -67,19 +66,19 @@ def blocks_of(known: int) -> list[range]:
 
 
 class PartsVote:
-    """A vote for the parts of a block that a submap may be in.
+    """Vote for the parts of a block that may match a submap.
 
     Parameters
     ----------
     parts : list of SegmentMap
-        Of the block, as :func:`thin` makes them.
+        Parts of the block from :func:`thin`.
     config : Config
     settings : AlignConfig
     """
 
     def __init__(self, parts: list[SegmentMap], config: Config, settings: AlignConfig) -> None:
         self._count, self._spacing_m = len(parts), SPACING * settings.part_m
-        whole = laid_out(parts, settings.part_m)
+        whole = lay_out(parts, settings.part_m)
         pruner = create(config.method, config.threads, config.weights).pruner
         matcher = Matcher(whole, config.matching, pruner=pruner, threads=config.threads)
         self._vote = CoarseVoter(
@@ -92,7 +91,7 @@ class PartsVote:
         )
 
     def of(self, submap: Submap) -> dict[int, int]:
-        """For each part of the block that a pose is in, how many segments agree with the best."""
+        """Return the inliers of the best pose in each part of the block that has one."""
         found = self._vote.candidates(submap.scene, submap.descriptors)
         votes: dict[int, int] = {}
         for candidate in found:
@@ -103,10 +102,10 @@ class PartsVote:
         return votes
 
 
-def known_parts(chain: Chain, min_travel_m: float) -> Int64:
-    """How many parts each submap is looked for in, (N,): the first so many.
+def searchable_parts(chain: Chain, min_travel_m: float) -> Int64:
+    """Return the number of parts, from the first, in which each submap is searched, (N,).
 
-    They are those of the sessions before its own, and of its own those that are far behind it.
+    These are all parts of earlier sessions, and the distant earlier ones of its own.
     """
     owner = np.array([chain.session[nodes[0]] for nodes in chain.parts])
     ends = np.array([chain.travelled[nodes[-1]] for nodes in chain.parts])
@@ -114,5 +113,5 @@ def known_parts(chain: Chain, min_travel_m: float) -> Int64:
     for session in np.unique(chain.session):
         own = chain.session == session
         behind = ends[owner == session] + min_travel_m
-        known[own] += np.searchsorted(behind, chain.travelled[own])  # those that lie below it
+        known[own] += np.searchsorted(behind, chain.travelled[own])
     return known

@@ -1,4 +1,4 @@
-"""Loops: pairs of submaps of one place, found by localization or as neighbours, then refined."""
+"""Loops between submaps of one place, from localization or proximity, refined by ICP."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ from .graph import Edges
 from .submaps import Session, Submap
 
 Progress = Callable[[int, int], None]
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _SAMPLE = 2000
 _PREPARED = 64
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Two submaps of one place, as far as is known.
+    """Relative pose of two submaps of one place.
 
     Attributes
     ----------
     target, source : int
-        Numbers of the submaps, counted over all sessions.
+        Submap numbers over all sessions.
     T_target_source : (4, 4) float64
     covariance : (6, 6) float64
-        Of rotation (rad) and translation (m), frame of the source.
+        Of rotation [rad] and translation [m], in the frame of the source.
     kind : str
         "found" by localization, or "dense": neighbours after the first optimisation.
     inliers : int
-        Segments that agreed; 0 for dense ones.
+        Number of agreeing segments; 0 for dense loops.
     shared : float
-        Share of one cloud that met the other's.
+        Overlap of the clouds, in [0, 1].
     reason : str
-        Why it is not believed; "" if it is.
+        Reason of rejection; "" if accepted.
     before, after : (6,) float64 or None
-        Residual in rotation (rad) and translation (m) by the poses before and after alignment;
-        None between sessions that share no frame.
+        Residual in rotation [rad] and translation [m] at the poses before and after alignment;
+        None between unconnected sessions.
     weight : float
-        How far the last optimisation believed it.
+        Weight in the last optimisation.
     """
 
     target: int
@@ -72,18 +72,18 @@ class Loop:
 
 @dataclass(frozen=True)
 class Chain:
-    """All submaps of all sessions, one after another.
+    """Submaps of all sessions in sequence.
 
     Attributes
     ----------
     session : (N,) int64
-        Which session each belongs to.
+        Session of each submap.
     travelled : (N,) float64
-        Metres travelled in its session.
+        Distance travelled in its session [m].
     odometry : (N, 4, 4) float64
         T_odom_local, each in the frame of its session.
     parts : list of (K,) int64
-        The submaps of each part of each session, one after another.
+        Submaps of each part, session by session.
     """
 
     session: Int64
@@ -109,17 +109,17 @@ class Chain:
 
     @property
     def sessions(self) -> int:
-        """How many there are."""
+        """Number of sessions."""
         return int(self.session.max(initial=-1)) + 1
 
     def first(self, session: int) -> int:
-        """The number of a session's first submap."""
+        """Return the number of a session's first submap."""
         return int(np.searchsorted(self.session, session))
 
 
 @dataclass(frozen=True)
 class PartNodes:
-    """The submaps of a part, and their T_odom_local, (K, 4, 4)."""
+    """Submaps of a part, and their T_odom_local, (K, 4, 4)."""
 
     nodes: Int64
     odometry: Float64
@@ -141,7 +141,7 @@ def loops_in_part(
         submap = submaps[source]
         level = LocalCloud(submap.scene.structure, np.eye(4))
         answer = localizer.locate(Query(level, submap.scene, submap.descriptors))
-        T_odom_local = answer.T_map_sensor  # the sensor's frame is the local one here
+        T_odom_local = answer.T_map_sensor  # here the sensor's frame is the local one
         if T_odom_local is None:
             continue
         distances = np.linalg.norm(part.odometry[:, :3, 3] - T_odom_local[:3, 3], axis=1)
@@ -162,21 +162,21 @@ def registered(
     register: SubmapRegistration,
     settings: AlignConfig,
 ) -> Loop | None:
-    """A loop from a guess of its pose; None where the submaps cannot be aligned."""
+    """Refine a loop by ICP; None if it fails."""
     fit = register.fit(target, source, guess)
     if fit is None:
         return None
     reason = ""
     if fit.shift_m > settings.max_shift_m:
-        reason = f"ICP moved it by {fit.shift_m:.1f} m"
+        reason = f"ICP moved it by {fit.shift_m:.1f} m (at most {settings.max_shift_m:g} m)"
     elif fit.shared < settings.min_shared:
-        reason = f"too little shared ({fit.shared:.2f} < {settings.min_shared:.2f})"
+        reason = f"too little overlap ({fit.shared:.2f} < {settings.min_shared:.2f})"
     T = fit.T_target_source
     return Loop(target, source, T, fit.covariance, kind, 0, fit.shared, reason)
 
 
-def one_a_pair(loops: list[Loop]) -> list[Loop]:
-    """Of loops between the same submaps the one with most inliers, by source, then target."""
+def best_per_pair(loops: list[Loop]) -> list[Loop]:
+    """Return the loop with most inliers of each pair, by source, then target."""
     best: dict[tuple[int, int], Loop] = {}
     for loop in loops:
         key = (loop.source, loop.target)
@@ -186,7 +186,7 @@ def one_a_pair(loops: list[Loop]) -> list[Loop]:
 
 
 def edges_of(loops: list[Loop]) -> Edges:
-    """Loops as edges of a graph."""
+    """Return loops as edges of a graph."""
     return Edges(
         np.array([loop.target for loop in loops], np.int64),
         np.array([loop.source for loop in loops], np.int64),
@@ -234,14 +234,14 @@ class SubmapRegistration:
     def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
         """Align two submaps from an initial guess; None if ICP fails."""
         there, back = self._prepared(target), self._prepared(source)
-        if min(len(there.surface), len(back.surface)) < _LEAST_POINTS:
+        if min(len(there.surface), len(back.surface)) < _MIN_POINTS:
             return None
         radius = self._config.near_m
         found = self._aligner.register(there.target, back, T_target_source, radius)
         if found is None:
             return None
         T, shared = found.T_target_source, 0.0
-        if min(there.count, back.count) >= _LEAST_POINTS:
+        if min(there.count, back.count) >= _MIN_POINTS:
             other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
             shared = max(found.overlap, other)
         # Lower bound of a loop's standard deviations.
@@ -304,7 +304,7 @@ def neighbours(
 def tied(
     pairs: Sequence[Pair], submaps: Submaps, settings: AlignConfig, threads: int
 ) -> list[Loop]:
-    """Align pairs of submaps; leave out those where ICP fails."""
+    """Align pairs of submaps; skip those where ICP fails."""
     register = SubmapRegistration(submaps, settings, threads)
     loops = (registered(p.target, p.source, p.guess, "dense", register, settings) for p in pairs)
     return [loop for loop in loops if loop is not None]

@@ -12,12 +12,12 @@ from .. import geometry
 from ..motion import odometry_covariance
 from ..types import Float64, Int64, Pose
 from .config import AlignConfig
-from .graph import Edges, joined_edges, residuals, solve_robustly, squared_errors
+from .graph import Edges, concatenate_edges, residuals, solve_robustly, squared_errors
 from .loops import Chain, Loop, edges_of
 
 
 class SessionGraph:
-    """Submaps, odometry and loops; poses come in as odometry and get better."""
+    """Pose graph of submaps with odometry and loops."""
 
     def __init__(self, chain: Chain, loops: list[Loop], settings: AlignConfig) -> None:
         self.chain, self.loops = chain, loops
@@ -25,7 +25,7 @@ class SessionGraph:
         self._place()
 
     def _place(self) -> None:
-        """Which sessions belong together, and where each lies before anything is optimised."""
+        """Group connected sessions, and compute initial poses."""
         chain = self.chain
         self.components = components_of(chain, self.loops)
         numbers = np.empty(chain.sessions, np.int64)
@@ -36,41 +36,39 @@ class SessionGraph:
         self.poses = self.start
 
     def optimise(self) -> None:
-        """Optimise, and reject the loops that the optimum contradicts."""
+        """Optimise, and reject loops that contradict the optimum."""
         self._solve()
         while components_of(self.chain, self.loops) != self.components:
-            self._place()  # what connected two sessions has been contradicted
+            self._place()  # loops that connected two sessions were rejected
             self._solve()
 
     def tie_neighbours(self, dense: list[Loop]) -> None:
-        """Replace the dense loops; where submaps are tied already they stay so."""
+        """Replace the dense loops; keep pairs that are already connected."""
         found = [loop for loop in self.loops if loop.kind == "found"]
         tied = {(loop.target, loop.source) for loop in found if loop.accepted}
         self.loops = found + [loop for loop in dense if (loop.target, loop.source) not in tied]
         self.optimise()
 
     def _solve(self) -> None:
-        # A loop that was contradicted once may fit now; between components nothing is tried again.
+        # A rejected loop may fit now, except between components.
         tried = [
             k
             for k, loop in enumerate(self.loops)
             if (loop.accepted or loop.weight > 0)
             and self.component[loop.target] == self.component[loop.source]
         ]
-        edges = joined_edges([self._odometry, edges_of([self.loops[k] for k in tried])])
+        edges = concatenate_edges([self._odometry, edges_of([self.loops[k] for k in tried])])
         is_loop = np.arange(len(edges)) >= len(self._odometry)
         first = [self.chain.first(members[0]) for members in self.components]
         fixed = np.array(first, np.int64)
         self.poses, weights = solve_robustly(self.poses, edges, is_loop, fixed)
         squares = squared_errors(self.poses, edges)[is_loop]
         for k, weight, square in zip(tried, weights[is_loop], squares, strict=True):
-            reason = (
-                "" if weight >= 0.5 else f"contradicted by the rest ({np.sqrt(square):.1f} sigma)"
-            )
+            reason = "" if weight >= 0.5 else f"outlier of the graph ({np.sqrt(square):.1f} sigma)"
             self.loops[k] = replace(self.loops[k], weight=float(weight), reason=reason)
 
     def with_residuals(self) -> list[Loop]:
-        """The loops, each with what is left of it before and after."""
+        """Return the loops with residuals before and after."""
         edges = edges_of(self.loops)
         before, after = residuals(self.start, edges), residuals(self.poses, edges)
         together = self.component[edges.first] == self.component[edges.second]

@@ -1,4 +1,4 @@
-"""A session as a chain of submaps: what was seen around points a few metres apart."""
+"""Split a session into submaps, some metres apart."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Submap:
-    """What was seen around one scan of a session.
+    """Surroundings of one scan of a session.
 
     Attributes
     ----------
     T_odom_local : (4, 4) float64
-        The levelled pose of the scan.
+        Levelled pose of the scan.
     scene : Segmentation
-        Of the cloud that a query spans, without the points of its segments.
+        Of a query-sized cloud, without points of segments.
     descriptors : Descriptors
-        Of its segments.
+        Of the segments.
     structure, surface : (N, 3) float32
-        Of the shorter cloud that submaps are aligned by: points above ground; all points.
+        Points for registration, from a shorter cloud: above ground; all.
     """
 
     T_odom_local: Pose
@@ -47,19 +47,19 @@ class Submap:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording as a chain of places at which submaps stand, and of parts.
+    """A recording with the positions of its submaps and parts.
 
     Attributes
     ----------
     name : str
     indices : (N,) int64
-        The numbers of the scans.
+        Scan numbers.
     poses : (N, 4, 4) float64
         T_odom_sensor, as recorded.
     travelled : (N,) float64
-        Metres travelled up to each scan.
+        Distance travelled to each scan [m].
     anchors : (S,) int64
-        Positions of the scans that submaps stand at.
+        Positions of the submaps' reference scans.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Session:
 
     @classmethod
     def of(cls, recording: Recording, settings: AlignConfig) -> Session:
-        """A recording with poses; no scan is read.
+        """Create a session from a recording with poses, without reading scans.
 
         Raises
         ------
@@ -89,17 +89,17 @@ class Session:
 
     @property
     def node_travelled(self) -> Float64:
-        """Metres travelled up to each submap, (S,)."""
+        """Distance travelled to each submap (S,) [m]."""
         return self.travelled[self.anchors]
 
     def parts(self, length_m: float) -> list[Int64]:
-        """The submaps of each stretch of such a length: it has hardly drifted."""
+        """Split the submaps into stretches of a length, short enough for little drift."""
         stretch = (self.node_travelled // length_m).astype(np.int64)
         return np.split(np.arange(len(self.anchors)), np.flatnonzero(np.diff(stretch)) + 1)
 
 
 def posed(recording: Recording) -> Float64:
-    """The poses that a session is aligned by, (N, 4, 4).
+    """Return the poses of a session's odometry, (N, 4, 4).
 
     Raises
     ------
@@ -107,9 +107,9 @@ def posed(recording: Recording) -> Float64:
         If there are no scans, or no poses.
     """
     if not len(recording):
-        raise DatasetError(f"{recording.name}: no scan in it")
+        raise DatasetError(f"{recording.name}: no scans")
     if recording.poses is None:
-        raise DatasetError(f"{recording.name}: aligning needs odometry: a pose for every scan")
+        raise DatasetError(f"{recording.name}: alignment needs odometry: a pose for every scan")
     return recording.poses
 
 
@@ -120,7 +120,7 @@ def describe_session(
     settings: AlignConfig,
     progress: Progress | None = None,
 ) -> Iterator[tuple[list[Submap], SegmentMap]]:
-    """Cut a recording into parts: the submaps of each, and its map in the session's own frame.
+    """Yield the submaps of each part, and its map in the session's own frame.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def describe_session(
 
 
 class Reader:
-    """Gathers, segments and describes; neighbouring clouds share scans, each read once."""
+    """Accumulate, segment and describe; scans shared by neighbouring clouds are read once."""
 
     def __init__(self, recording: Recording, poses: Float64, config: Config) -> None:
         self.config, self.poses = config, poses
@@ -172,10 +172,10 @@ def _submap(reader: Reader, anchor: int, settings: AlignConfig, prior_map: Segme
     for seen, described in ((scene, descriptors), (short, short_descriptors)):
         add_view(prior_map, View(T_odom_local, float(anchor), seen), described)
     radius_m = reader.config.local_cloud.radius_m
-    return lean_submap(T_odom_local, scene, descriptors, short, settings, radius_m)
+    return make_submap(T_odom_local, scene, descriptors, short, settings, radius_m)
 
 
-def lean_submap(
+def make_submap(
     T_odom_local: Pose,
     scene: Segmentation,
     descriptors: Descriptors,
@@ -183,7 +183,7 @@ def lean_submap(
     settings: AlignConfig,
     radius_m: float,
 ) -> Submap:
-    """What is to be kept of a place: of the cloud that a query spans, and of a shorter one."""
+    """Build a submap from a query-sized cloud and a shorter one."""
     structure = _within(scene.structure, radius_m)
     lean = Segmentation(_without_points(scene.segments), structure, scene.ground)
     radius = settings.icp_radius
@@ -192,12 +192,12 @@ def lean_submap(
 
 
 def _without_points(segments: Segments) -> Segments:
-    """Where segments lie is needed for long, their points are not."""
+    """Drop the points of segments, keeping their positions, to save memory."""
     offsets = np.zeros_like(segments.offsets)
     return Segments(np.empty((0, 3), np.float32), offsets, segments.centroids, segments.heights)
 
 
 def _within(points: Float32, radius: float) -> Float32:
-    """Thinned to what registration needs."""
+    """Thin points to what registration needs."""
     near = (points[:, :2] ** 2).sum(axis=1) < radius**2
     return np.ascontiguousarray(_native.voxel_grid(np.ascontiguousarray(points[near]), 0.3))

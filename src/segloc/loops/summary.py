@@ -39,22 +39,22 @@ _WITHIN = "loop within a session"
 
 
 def loops_csv(alignment: Alignment) -> str:
-    """One line a loop: which scans, what found it, residuals before and after, why rejected."""
+    """Format a table of loops: scans, kind, residuals before and after, reason of rejection."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
     for loop, sessions, scans in rows:
         ends = [sessions[0], scans[0], sessions[1], scans[1]]
-        said = [loop.kind, loop.inliers, f"{loop.shared:.3f}", int(loop.accepted), loop.reason]
-        writer.writerow([*ends, *said, *_lengths(loop), f"{loop.weight:.3f}"])
+        measures = [loop.kind, loop.inliers, f"{loop.shared:.3f}", int(loop.accepted), loop.reason]
+        writer.writerow([*ends, *measures, *_lengths(loop), f"{loop.weight:.3f}"])
     return text.getvalue()
 
 
 def loops_jsonl(alignment: Alignment) -> str:
-    """One JSON object a loop, for pose graphs of others: the pose of one sensor from the other's.
+    """Format one JSON object per loop, with relative poses of sensors, for other pose graphs.
 
-    ``covariance`` is of a small rotation (rad), then a translation (m), in the source's frame.
+    ``covariance`` is of a small rotation [rad], then a translation [m], in the source's frame.
     """
     lines = []
     rows = zip(alignment.loops, alignment.loop_sessions, alignment.loop_scans, strict=True)
@@ -84,7 +84,7 @@ def loops_jsonl(alignment: Alignment) -> str:
 
 
 def _local_sensor(alignment: Alignment, session: int, scan: int) -> Pose:
-    """How a scan's sensor stands in its submap's level frame."""
+    """Return T_local_sensor of a scan in its submap's level frame."""
     position = int(np.flatnonzero(alignment.indices[session] == scan)[0])
     T = alignment.odometry[session][position]
     T_local_sensor: Pose = geometry.inverse(geometry.levelled(T)) @ T
@@ -92,19 +92,19 @@ def _local_sensor(alignment: Alignment, session: int, scan: int) -> Pose:
 
 
 def _lengths(loop: Loop) -> list[str]:
-    """Residuals before and after, in metres and degrees; empty where there is no common frame."""
+    """Return residuals before and after, in metres and degrees; empty if unconnected."""
     sizes = [() if r is None else _size(r) for r in (loop.before, loop.after)]
     return [f"{value:.3f}" for size in sizes for value in size] or [""] * 4
 
 
 def _size(residual: Float64) -> tuple[float, float]:
-    """Metres and degrees."""
+    """Return the length of a residual in metres and degrees."""
     turn, shift = residual[:3], residual[3:]
     return float(np.linalg.norm(shift)), math.degrees(float(np.linalg.norm(turn)))
 
 
 def summary(alignment: Alignment) -> dict[str, Any]:
-    """Counts and residuals in values that JSON can hold."""
+    """Return counts and residuals as JSON values."""
     accepted = [loop for loop in alignment.loops if loop.accepted]
     across = alignment.loop_sessions[:, 0] != alignment.loop_sessions[:, 1]
     believed = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
@@ -129,7 +129,7 @@ def summary(alignment: Alignment) -> dict[str, Any]:
 
 
 def summary_to_map(alignment: MapAlignment) -> dict[str, Any]:
-    """Anchors and residuals of each session, in values that JSON can hold."""
+    """Return anchors and residuals of each session as JSON values."""
     sessions = []
     for k, (name, loops) in enumerate(zip(alignment.names, alignment.anchors, strict=True)):
         accepted = [loop for loop in loops if loop.accepted]
@@ -150,7 +150,7 @@ def summary_to_map(alignment: MapAlignment) -> dict[str, Any]:
 
 
 def _spread(residuals: list[Float64 | None]) -> dict[str, float | None]:
-    """Median and 95 % of their sizes."""
+    """Return the median and the 95 % quantile of their lengths."""
     names = ("median_m", "p95_m", "median_deg", "p95_deg")
     sizes = [_size(residual) for residual in residuals if residual is not None]
     if not sizes:
@@ -185,13 +185,13 @@ def picture(alignment: Alignment) -> bytes:
             row, ("before: odometry", "after: aligned"), (before, alignment.poses), strict=True
         ):
             apart = _draw(side, alignment, members, poses)
-            said = f", loops {np.median(apart):.2f} m apart (median)" if len(apart) else ""
-            side.set_title(f"{name}{said}", loc="left", fontsize=TEXT_PT + 1)
+            text = f", loops {np.median(apart):.2f} m apart (median)" if len(apart) else ""
+            side.set_title(f"{name}{text}", loc="left", fontsize=TEXT_PT + 1)
     return png(figure)
 
 
 def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
-    """Odometry, each session moved to its aligned first pose."""
+    """Return odometry, each session moved to its aligned first pose."""
     moved = list(alignment.odometry)
     for k in members:
         odometry = alignment.odometry[k]
@@ -200,7 +200,7 @@ def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
 
 
 def _draw(axes: Any, alignment: Alignment, members: list[int], poses: list[Float64]) -> Float64:
-    """Paths and loops; returns how far each loop's scans are from where it puts them, metres."""
+    """Draw trajectories and loops; return the distance of each loop's scans from its pose [m]."""
     chart(axes, "x, m", "y, m")
     positions = [
         {int(number): k for k, number in enumerate(indices)} for indices in alignment.indices

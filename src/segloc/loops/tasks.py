@@ -1,4 +1,4 @@
-"""Tasks of an alignment (recordings, parts, pairs of submaps), and the store that they share."""
+"""Tasks of an alignment (recordings, parts, pairs of submaps), and their shared store."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from ..system.files import folder_in, replacing
 from ..system.processes import all_of
 from ..types import Descriptors, Recording, Segments
 from .config import AlignConfig
-from .growing_map import PartsVote, blocks_of, known_parts, thin
-from .loops import Chain, Loop, Pair, PartNodes, Progress, loops_in_part, one_a_pair, tied
+from .growing_map import PartsVote, blocks_of, searchable_parts, thin
+from .loops import Chain, Loop, Pair, PartNodes, Progress, best_per_pair, loops_in_part, tied
 from .submaps import Session, Submap, describe_session
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
 
 _VOTERS, _PAIRS = 32, 64
-"""Submaps, and pairs of them, of a task."""
+"""Number of submaps, and of pairs of them, per task."""
 _CACHED_SUBMAPS, _CACHED_MAPS = 256, 2
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where a run's work is done: its store, settings, and who executes tasks.
+    """Store, settings and executor of a run.
 
     Attributes
     ----------
     store : SubmapStore
-        That all tasks see.
+        Shared by all tasks.
     config : Config
     settings : AlignConfig
     executor : Executor or None
-        None: this process.
+        None for this process.
     """
 
     store: SubmapStore
@@ -52,15 +52,15 @@ class Workspace:
     executor: Executor | None = None
 
     def on_its_own(self) -> Workspace:
-        """What a task takes along."""
+        """Return a copy for a task, without the executor."""
         return replace(self, executor=None)
 
 
 @contextmanager
-def opened_workspace(
+def open_workspace(
     config: Config, settings: AlignConfig, executor: Executor | None, folder: str | Path | None
 ) -> Iterator[Workspace]:
-    """A workspace in a folder, which is removed at the end; workers have one thread each."""
+    """Open a workspace in a folder, removed at the end; workers have one thread each."""
     if executor is not None:
         config = config.model_copy(update={"threads": 1})
     with folder_in(folder, ".segloc-align-") as made:
@@ -75,7 +75,7 @@ def opened_workspace(
 
 @dataclass(frozen=True)
 class Described:
-    """A session to be described: its submaps and parts are counted on from the first ones."""
+    """Session to describe, with the numbers of its first submap and part."""
 
     number: int
     recording: Recording
@@ -85,12 +85,12 @@ class Described:
 
 
 def describe(workspace: Workspace, task: Described, progress: Progress | None = None) -> None:
-    """Put a session's submaps and parts in the store.
+    """Store a session's submaps and parts.
 
     Raises
     ------
     DatasetError
-        If nothing in it could be segmented; names the session.
+        If it has no segments; names the session.
     """
     submap, segments = task.first_submap, 0
     try:
@@ -106,13 +106,13 @@ def describe(workspace: Workspace, task: Described, progress: Progress | None = 
             segments += len(prior_map)
         if not segments:
             scans = len(task.recording)
-            raise DatasetError(f"{task.session.name}: no segment found in {scans} scans")
-    except DatasetError as error:  # sessions may have one name, so that faults need the number, too
+            raise DatasetError(f"{task.session.name}: no segments in {scans} scans")
+    except DatasetError as error:  # names of sessions may repeat, so give the number, too
         raise DatasetError(f"session {task.number}: {error}") from error
 
 
 def describe_all(workspace: Workspace, tasks: Sequence[Described], stage: Stage) -> None:
-    """Put all sessions in the store."""
+    """Store all sessions."""
     if workspace.executor is not None:
         with stage("Describing sessions") as update:
             all_of(partial(describe, workspace.on_its_own()), tasks, workspace.executor, update)
@@ -126,13 +126,12 @@ def describe_all(workspace: Workspace, tasks: Sequence[Described], stage: Stage)
 
 
 def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = None) -> list[Loop]:
-    """Localize every submap in the parts before it that most of it votes for.
+    """Localize every submap in the earlier parts with most of its votes.
 
     Returns
     -------
     list of Loop
-        What localization found and registration refined, believed or not; no two of the same
-        submaps.
+        Localized and refined loops, accepted or not, at most one per pair of submaps.
     """
     tasks = [
         (k, PartNodes(chain.parts[k], chain.odometry[chain.parts[k]]), sources)
@@ -140,21 +139,21 @@ def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = N
     ]
     look = partial(_loops, workspace.on_its_own())
     found = all_of(look, tasks, workspace.executor, progress)
-    return one_a_pair([loop for loops in found for loop in loops])
+    return best_per_pair([loop for loops in found for loop in loops])
 
 
 def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
-    """By part the submaps that are to be localized in it."""
+    """Return the submaps to localize in each part."""
     settings = workspace.settings
     found: dict[int, list[int]] = {k: [] for k in range(len(chain.parts))}
     voters: dict[range, list[int]] = {}
-    for source, known in enumerate(known_parts(chain, settings.min_travel_m).tolist()):
+    for source, known in enumerate(searchable_parts(chain, settings.min_travel_m).tolist()):
         for block in blocks_of(known) if known > settings.searched_parts else ():
             voters.setdefault(block, []).append(source)
         for part in range(known) if known <= settings.searched_parts else ():
             found[part].append(source)
     tasks = [
-        (block, sources[k : k + _VOTERS * len(block)])  # so many that the block's map pays
+        (block, sources[k : k + _VOTERS * len(block)])  # enough to amortise building its map
         for block, sources in sorted(voters.items(), key=lambda item: (item[0].start, item[0].stop))
         for k in range(0, len(sources), _VOTERS * len(block))
     ]
@@ -169,7 +168,7 @@ def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
 
 
 def _votes(workspace: Workspace, task: tuple[range, list[int]]) -> list[tuple[int, int, int]]:
-    """Submap, part and votes for it, of submaps that vote for the parts of a block."""
+    """Return submap, part and votes of submaps that vote in a block."""
     block, sources = task
     parts = [workspace.store.map(f"thin_{k}") for k in block]
     vote = PartsVote(parts, workspace.config, workspace.settings)
@@ -195,7 +194,7 @@ def _loops(workspace: Workspace, task: tuple[int, PartNodes, list[int]]) -> list
 def tie(
     workspace: Workspace, pairs: Sequence[Pair], progress: Progress | None = None
 ) -> list[Loop]:
-    """The loops of those pairs that can be aligned."""
+    """Align pairs of submaps; skip those where ICP fails."""
     tasks = [pairs[k : k + _PAIRS] for k in range(0, len(pairs), _PAIRS)]
     found = all_of(partial(_tied, workspace.on_its_own()), tasks, workspace.executor, progress)
     return [loop for loops in found for loop in loops]
@@ -207,9 +206,9 @@ def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
 
 @dataclass(frozen=True)
 class SubmapStore:
-    """Submaps by number and maps by name, in a folder that all tasks see.
+    """Submaps by number and maps by name, in a folder shared by all tasks.
 
-    Storage is lossless. Each process caches the ones it used last, until :func:`forget`.
+    Storage is lossless. Each process caches recent entries until :func:`forget`.
 
     Raises
     ------

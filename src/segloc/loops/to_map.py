@@ -1,7 +1,7 @@
-"""Sessions with poses that drift -> poses in the frame of a map that exists.
+"""Align sessions with drifting poses to an existing map.
 
-Submaps of a session are localized in the map. Each that is found anchors the session there; anchors
-that agree with their neighbours and odometry make a pose graph, in which the map is one fixed node.
+Submaps of a session are localized in the map. Each one found is an anchor; anchors that agree with
+their neighbours and odometry form a pose graph with the map as one fixed node.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from .session_graph import SessionGraph
 from .submaps import Reader, Session
 from .tasks import Stage
 
-_MAP = 0  # the number of its node
-_SUBMAPS = 8  # of a short session at least
+_MAP = 0  # node number
+_SUBMAPS = 8  # minimum, of a short session
 
 
 @dataclass(frozen=True)
@@ -36,21 +36,21 @@ class MapAlignment:
     Attributes
     ----------
     names : list of str
-        Of the sessions.
+        Names of the sessions.
     indices : list of (N,) int64
-        The numbers of their scans.
+        Scan numbers of each session.
     odometry : list of (N, 4, 4) float64
-        T_odom_sensor, as they came.
+        T_odom_sensor, as given.
     poses : list of (N, 4, 4) float64
         T_map_sensor.
     submaps : list of int
-        How many submaps of each session were looked for in the map.
+        Number of submaps of each session searched in the map.
     anchors : list of list of Loop
-        Those of each session that were found, accepted and rejected: ``source`` is the number of
-        the submap from 1 on, ``T_target_source`` its T_map_local.
+        Submaps of each session found in the map, accepted and rejected: ``source`` is the submap
+        number from 1, ``T_target_source`` its T_map_local.
     unanchored_m : list of float
-        The farthest that each session travels from its nearest accepted anchor [m]: over such a
-        stretch its poses are odometry's.
+        Maximum travel of each session from its nearest accepted anchor [m], over which its poses
+        rely on odometry.
     """
 
     names: list[str]
@@ -69,7 +69,7 @@ def align_to_map(
     settings: AlignConfig | None = None,
     stage: Stage | None = None,
 ) -> MapAlignment:
-    """Bring sessions with poses that drift into the frame of a map.
+    """Align sessions with drifting poses to the frame of a map.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ def align_to_map(
         If too few submaps of a session are found in the map, or they disagree, or the map has
         another descriptor.
     ConfigError
-        If there is no recording.
+        If there are no recordings.
     DatasetError
-        If a session has no scans or no poses; names it.
+        If a session has no scans or no poses; names the session.
     """
     settings, stage = settings or AlignConfig(), stage or silent
     if not recordings:
-        raise ConfigError("there is no session to align")
+        raise ConfigError("no sessions to align")
     localizer = Localizer(prior_map, config)
     found = MapAlignment([], [], [], [], [], [], [])
     for k, given in enumerate(recordings):
@@ -107,7 +107,7 @@ def align_to_map(
 
 
 def _session(k: int, recording: Recording, settings: AlignConfig) -> Session:
-    """A recording as a chain of submaps; of a short one they stand closer."""
+    """Split a recording into submaps, closer together if it is short."""
     try:
         session = Session.of(recording, settings)
         if len(recording) > 1 and len(session.anchors) < _SUBMAPS and session.travelled[-1] > 0:
@@ -125,7 +125,7 @@ def _localized(
     settings: AlignConfig,
     progress: Progress,
 ) -> list[Loop]:
-    """The submaps that are found in the map, as loops from the map's node."""
+    """Localize submaps in the map; return loops from the map's node."""
     reader, loops = Reader(recording, session.poses, localizer.config), []
     least = np.repeat([np.radians(settings.loop_deg), settings.loop_m], 3) ** 2
     for number, anchor in enumerate(session.anchors, 1):
@@ -152,7 +152,7 @@ def _localized(
 
 
 def _chain(session: Session) -> Chain:
-    """The map as a session of one node, then the session's submaps."""
+    """Return a chain of the map as a session of one node, and the session's submaps."""
     count = len(session.anchors)
     return Chain(
         np.repeat(np.arange(2), [1, count]),
@@ -165,7 +165,7 @@ def _chain(session: Session) -> Chain:
 def _append(
     found: MapAlignment, k: int, session: Session, loops: list[Loop], settings: AlignConfig
 ) -> None:
-    """Solve a session's graph, and add it to what was found.
+    """Solve a session's graph, and append it to the result.
 
     Raises
     ------
@@ -180,9 +180,9 @@ def _append(
     if len(believed) < needed:
         raise MapMismatch(
             f"session {k}: {session.name} does not meet the map: {len(loops)} of "
-            f"{len(session.anchors)} places along it are found there, and {len(believed)} of them "
-            f"agree, where {needed} must: is it of another place, or is something wrong with its "
-            "scans (`segloc doctor`)?"
+            f"{len(session.anchors)} places along it are found in the map, of which "
+            f"{len(believed)} agree (at least {needed} must). Is it of another place, or are its "
+            "scans faulty (`segloc doctor`)?"
         )
     marks = chain.travelled[[loop.source for loop in believed]]
     apart = np.abs(session.travelled[:, None] - marks[None]).min(axis=1)

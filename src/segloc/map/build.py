@@ -1,4 +1,4 @@
-"""Posed scans -> a map; several recordings in one frame -> one map, each a task of an executor."""
+"""Build maps from scans with poses: one recording, or several as tasks of an executor."""
 
 from __future__ import annotations
 
@@ -45,29 +45,29 @@ def build_map(
     Parameters
     ----------
     scans : Recording, or list of Scan or of (N, >=3) arrays
-        With poses: they define the map frame, whose z axis must point up. Where it certainly does
-        not, ``metadata["frame"]`` of the map says so; with ``config.mapping.level`` the poses are
-        turned first, and ``metadata["T_map_odom"]`` says how.
+        With poses that define the map frame, whose z axis must point up. If it clearly does not,
+        ``metadata["frame"]`` says so; with ``config.mapping.level`` the poses are turned first, as
+        recorded in ``metadata["T_map_odom"]``.
     config : BuildConfig, optional
-        Or a :class:`segloc.Config`, which is one; by default that of the default method.
+        Also a :class:`segloc.Config`; by default that of the default method.
     poses : (K, 4, 4) array, optional
         T_map_sensor of each scan; by default the scans' own ``T_odom_sensor``.
     every_m : float, optional
         Distance between views; overrides the configuration.
     progress : callable, optional
-        Called with (views done, views in all).
+        Called with (views done, total).
     adapt : bool
-        Whether :func:`adapted_to_view` may change the configuration.
+        True to let :func:`adapted_to_view` change the configuration.
 
     Raises
     ------
     DatasetError
-        If there are no poses, or nothing that could be segmented, or the poses are to be levelled
-        and nothing tells what is up.
+        If there are no poses or no segments, or levelling is requested and no scan shows which way
+        is up.
     InvalidScan
-        If a scan or a pose is none, or the numbers of both differ.
+        If a scan or a pose is invalid, or their numbers differ.
     ConfigError
-        If ``config`` is none.
+        If ``config`` is of another type.
     """
     config = checked_build_config(config)
     sequence, frame = _framed(as_recording(scans, poses), config)
@@ -80,7 +80,7 @@ def build_map(
     if len(prior_map) == 0:
         raise DatasetError(f"{sequence.name}: {_nothing(sequence, config)}")
     prior_map.add_trajectory(path)
-    used = config.model_copy(update={"threads": 0})  # the map does not depend on them
+    used = config.model_copy(update={"threads": 0})  # maps do not depend on the threads
     prior_map.metadata["config"] = used.to_yaml()
     prior_map.metadata["sequence"] = sequence.name
     prior_map.metadata.update(frame)
@@ -92,16 +92,16 @@ NARROW_SEGMENTATION = SegmentationConfig(
     accumulated=ClusterConfig(voxel_size=0.1, tolerance=0.2, min_points=30),
     single=ClusterConfig(voxel_size=0.1, tolerance=0.3, min_points=10),
 )
-"""A narrow view holds few separate objects, and a turn of the sensor soon shows others. So segments
-are finer, and views are closer together."""
+"""A narrow view holds few separate objects and changes quickly as the sensor turns, so segments are
+finer and views closer together."""
 
 
 def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> BuildConfig:
     """Choose views and segmentation for sensors with a narrow field of view.
 
     The configuration is changed only if all recordings are of narrow sensors (less than
-    ``NARROW_DEG``), and if ``mapping.views`` and ``segmentation`` have their default values. The
-    map keeps it, so queries are segmented alike.
+    ``NARROW_DEG``) and ``mapping.views`` and ``segmentation`` have their default values. The map
+    stores it, so that queries are segmented alike.
     """
     mapping, segmentation = config.mapping, config.segmentation
     default = mapping.views == MappingConfig().views and segmentation == SegmentationConfig()
@@ -112,35 +112,35 @@ def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> Bui
 
 
 def _nothing(sequence: Recording, config: BuildConfig) -> str:
-    """Why no segment was found."""
+    """Return why no segment was found."""
     middle = sequence.scan(len(sequence) // 2)
     why = reach_fault([middle], config.local_cloud.radius_m)
-    found = f"no segment found in {len(sequence)} scans"
-    return f"{found}: {why}" if why else f"{found}, the middle one of {len(middle)} points"
+    found = f"no segments in {len(sequence)} scans"
+    return f"{found}: {why}" if why else f"{found}, {len(middle)} points in the middle one"
 
 
 def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
-    """The recording in the map's frame, and what there is to say of that frame."""
+    """Return the recording in the map's frame, and metadata of that frame."""
     _poses(sequence)
     lean = frame_lean(sequence, config.local_cloud)
     if config.mapping.level:
         turned, T_map_odom = levelled(sequence, lean)
         angle = math.degrees(geometry.rotation_angle(T_map_odom))
-        said = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
-        return turned, {"frame": said, "T_map_odom": json.dumps(T_map_odom.tolist())}
+        text = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
+        return turned, {"frame": text, "T_map_odom": json.dumps(T_map_odom.tolist())}
     if lean is None or not lean.noticed:
         return sequence, {}
     return sequence, {"frame": tilt_text(lean)}
 
 
 def tilt_text(lean: Lean) -> str:
-    """What a map's metadata say of a frame that is not level."""
+    """Return the metadata of a frame that is not level."""
     return f"tilted by {lean.tilt_deg:.1f} degrees: its z axis is not up"
 
 
 @dataclass(frozen=True)
 class View:
-    """One local cloud of a map, segmented."""
+    """Segmented local cloud of a map."""
 
     T_map_local: Pose
     stamp: float
@@ -148,7 +148,7 @@ class View:
 
 
 def empty_map(descriptor: Descriptor, config: BuildConfig, origin: ArrayLike) -> SegmentMap:
-    """A map of nothing yet, to be described by ``descriptor``; the origin is near its place."""
+    """Return an empty map for ``descriptor``; the origin should be near the place."""
     return SegmentMap.empty(
         descriptor.name,
         descriptor.fingerprint,
@@ -161,7 +161,7 @@ def empty_map(descriptor: Descriptor, config: BuildConfig, origin: ArrayLike) ->
 def add_view(
     prior_map: SegmentMap, view: View, descriptors: Descriptors, *, with_cloud: bool = True
 ) -> None:
-    """Add a view, whose segments have these descriptors, to a map of one session.
+    """Add a view with the descriptors of its segments to a map of one session.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def add_view(
     view : View
     descriptors : Descriptors
     with_cloud : bool
-        Whether the map is to hold the view's surface, which poses are verified against.
+        True to add the view's surface, against which poses are verified.
     """
     segments = view.scene.segments
     surface = view.scene.surface if with_cloud else np.empty((0, 3))
@@ -190,7 +190,7 @@ def map_views(
     every_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[View]:
-    """The views that :func:`build_map` describes, along the path; they depend on no descriptor.
+    """Yield the views that :func:`build_map` describes, along the trajectory.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def map_views(
     poses = _poses(sequence)
     accumulator, segmenter = Accumulator(config.local_cloud), Segmenter(config.segmentation)
     plan = _plan(poses, config, every_m)
-    # Neighbouring views share most of their scans: each is read once.
+    # Neighbouring views share most of their scans, so each scan is read once.
     read = lru_cache(maxsize=max(len(scans) for _, scans in plan))(sequence.scan)
     for done, (index, scans) in enumerate(plan):
         cloud = accumulator.gather([read(i) for i in scans], index - scans.start)
@@ -211,7 +211,7 @@ def map_views(
 
 
 def _stamp(sequence: Recording, index: int) -> float:
-    """Seconds, or the scan's number where the recording has no times."""
+    """Return the scan's stamp [s], or its number if the recording has no stamps."""
     stamp = stamp_at(sequence, index)
     return float(sequence.indices[index]) if stamp is None else stamp
 
@@ -220,14 +220,14 @@ def _poses(sequence: Recording) -> Float64:
     poses = sequence.poses
     if poses is None or len(poses) == 0:
         raise DatasetError(
-            f"{sequence.name}: building a map needs a pose for every scan, and none of "
-            f"{len(sequence)} has one: T_odom_sensor of each Scan, poses=(K, 4, 4), or a file"
+            f"{sequence.name}: a map needs a pose for every scan, and none of the {len(sequence)} "
+            "has one: set T_odom_sensor of each Scan, or pass poses=(K, 4, 4) or a file"
         )
     return poses
 
 
 def _plan(poses: np.ndarray, config: BuildConfig, every_m: float | None) -> list[tuple[int, range]]:
-    """The views of a map: (index of the reference scan, scans it gathers), along the path."""
+    """Return the views of a map (index of the reference scan, range of scans)."""
     travelled = geometry.travelled(poses)
     plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
@@ -240,7 +240,7 @@ def _plan(poses: np.ndarray, config: BuildConfig, every_m: float | None) -> list
 
 @dataclass(frozen=True)
 class _Task:
-    """A recording to be mapped; ``out`` is the file of its map, None: it is handed back."""
+    """Recording to map; ``out`` is the file of its map, None to return it."""
 
     recording: Recording
     config: BuildConfig
@@ -258,40 +258,40 @@ def build_merged_map(
     executor: Executor | None = None,
     folder: str | Path | None = None,
 ) -> SegmentMap:
-    """A map of several sessions whose poses share a frame.
+    """Build a map of several sessions whose poses share a frame.
 
-    The map depends neither on the executor nor on the number of its workers.
+    The result does not depend on the executor or the number of its workers.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        The segments of the first are marked as session 0, and so on. For processes and clusters
-        they can be pickled, and their files are read where the tasks are done.
+        Session 0 is the first, and so on. For processes and clusters they must be picklable and
+        their files readable by the workers.
     config : BuildConfig
-        Or a :class:`segloc.Config`, which is one.
+        Also a :class:`segloc.Config`.
     progress : callable, optional
-        Called with (sessions done, sessions in all).
+        Called with (sessions done, total).
     every_m : float, optional
         Distance between views; overrides the configuration.
     views : callable, optional
-        Called with (views done, views in all) of each session that this process maps.
+        Called with (views done, total) of each session mapped in this process.
     executor : Executor, optional
-        Maps the sessions, each with one thread; by default this process does.
+        Maps the sessions, one thread each; by default in this process.
     folder : path, optional
-        That all workers of the executor see: maps of single sessions lie in a folder in it until
-        they are merged. By default the system's folder for temporary files.
+        Shared with all workers of the executor, for temporary maps of single sessions. By default
+        the system's temporary folder.
 
     Raises
     ------
     ConfigError
-        If there is no recording.
+        If there are no recordings.
     DatasetError
-        If a recording has no poses, or nothing that could be segmented.
+        If a recording has no poses or no segments.
     SeglocError
-        If a file cannot be written, or a process was ended again and again.
+        If a file cannot be written, or a process was killed repeatedly.
     """
     if not recordings:
-        raise ConfigError("there is no session to map")
+        raise ConfigError("no recordings to map")
     with folder_in(folder if executor else None, ".segloc-parts-") as parts:
         config = adapted_to_view(config, recordings)
         own = config.model_copy(update={"threads": 1}) if executor else config
@@ -307,7 +307,7 @@ def build_merged_map(
 
 
 def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
-    """The map of one recording, or the file that holds it, in whatever process."""
+    """Map one recording in any process; return the map or its file."""
     prior_map = build_map(
         task.recording, task.config, every_m=task.every_m, progress=views, adapt=False
     )
@@ -318,7 +318,7 @@ def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
 
 
 def _merged(maps: Sequence[SegmentMap]) -> SegmentMap:
-    """Merged by halves: one after another, each would cost as much as all before it."""
+    """Merge pairwise in halves; one by one, each merge would cost as much as all before."""
     if len(maps) == 1:
         return maps[0]
     half = (len(maps) + 1) // 2

@@ -1,9 +1,9 @@
-"""The arrays of a map as few bytes, and back to the last bit.
+"""Lossless compression of a map's arrays.
 
-Three layers: numbers on lattices whose steps are powers of two (what lies on one lies on all finer
-ones; points of a cloud lie at the centres of its voxels, or of equal parts of them); columns of
-whole numbers, deflated as differences of rows, one plane a byte; recipes, which name how an array
-was packed and its shape, checked before anything is allocated. Rounding again changes nothing.
+Three layers: numbers on lattices with steps of powers of two (a point on one lattice is on all
+finer ones; cloud points lie at the centres of their voxels, or of equal parts of them); columns of
+integers, deflated as differences of rows, one plane per byte; recipes, which record how an array
+was packed and its shape, and are checked before allocation. Rounding is idempotent.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ Array = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
 MOST_GROWTH, ALWAYS_BYTES = 200, 1 << 20
-"""A map may unpack to so many times its packed size, and so many bytes more."""
+"""An unpacked map has at most this ratio to its packed size, plus a constant number of bytes."""
 
 _PART_BITS = (0, 1, 2, 4)
-_MOST_CODE = 1 << 52  # float64 tells whole numbers apart up to here
-_MOST_CELL = 1 << 50
+_MAX_CODE = 1 << 52  # integers are exact in float64 up to here
+_MAX_CELL = 1 << 50
 _Length = Annotated[int, Field(ge=0, le=1 << 40)]
 _Width = Literal[1, 2, 4, 8]
 WIDTHS = (1, 2, 4, 8)
-"""Bytes that a number may take."""
+"""Bytes per number."""
 _MANTISSA = 53  # bits of a float64
 
 
@@ -45,11 +45,11 @@ class LatticeRecipe(Section):
     shape: tuple[_Length, ...]
     width: _Width
     exponents: tuple[Annotated[int, Field(ge=-200, le=200)], ...]
-    low: tuple[Annotated[int, Field(ge=-_MOST_CODE, le=_MOST_CODE)], ...]
+    low: tuple[Annotated[int, Field(ge=-_MAX_CODE, le=_MAX_CODE)], ...]
 
 
 class PaletteRecipe(Section):
-    """So many different numbers, each a float64, and then the row of the number of each segment."""
+    """Distinct numbers as float64, then each row's index into them."""
 
     kind: Literal["palette"] = "palette"
     shape: tuple[_Length]
@@ -58,14 +58,14 @@ class PaletteRecipe(Section):
 
 
 class OctreeRecipe(Section):
-    """The occupied voxels as an octree of so many nodes, and then the part of each, in bits."""
+    """Occupied voxels as an octree, then the part of each voxel, in bits."""
 
     kind: Literal["octree"] = "octree"
     shape: tuple[_Length, Literal[3]]
     levels: int = Field(ge=1, le=21)
     nodes: _Length
     bits: Literal[0, 1, 2, 4]
-    low: tuple[Annotated[int, Field(ge=-_MOST_CELL, le=_MOST_CELL)], ...] = Field(
+    low: tuple[Annotated[int, Field(ge=-_MAX_CELL, le=_MAX_CELL)], ...] = Field(
         min_length=3, max_length=3
     )
 
@@ -77,7 +77,7 @@ RECIPES: TypeAdapter[Recipes] = TypeAdapter(dict[str, Recipe])
 
 
 def recipes_of(text: str) -> Recipes:
-    """The recipes in the JSON text of a file.
+    """Parse the recipes of a file's JSON text.
 
     Raises
     ------
@@ -90,19 +90,19 @@ def recipes_of(text: str) -> Recipes:
 
 
 def text_of(recipes: Recipes) -> str:
-    """The recipes as JSON text."""
+    """Format recipes as JSON text."""
     return RECIPES.dump_json(dict(sorted(recipes.items()))).decode()
 
 
 def packed_arrays(
     arrays: Mapping[str, Array], cloud_voxel: float
 ) -> tuple[dict[str, Bytes], Recipes] | None:
-    """All arrays but the origin, packed; None where one cannot be, or the whole is empty."""
+    """Pack all arrays except the origin; return None if one cannot be packed or all are empty."""
     origin = arrays["origin"]
     data: dict[str, Bytes] = {}
     recipes: dict[str, LatticeRecipe | PaletteRecipe | OctreeRecipe] = {}
     size = 0
-    # Those that tell soonest whether a map is on lattices come first.
+    # First those that show soonest whether a map is on lattices.
     for name in sorted(arrays.keys() - {"origin"}, key=lambda n: (n != "cloud", n != "vectors", n)):
         array = arrays[name]
         found = _octree(array, origin, cloud_voxel) if name == "cloud" else _column(name, array)
@@ -116,11 +116,11 @@ def packed_arrays(
 
 
 def fault_of_growth(recipes: Recipes, packed_bytes: int) -> str | None:
-    """What is wrong with the sizes that recipes claim for so many packed bytes."""
+    """Return the fault of recipes whose sizes are too large for the packed bytes, or None."""
     claimed = sum(8 * prod(recipe.shape) for recipe in recipes.values())
     if claimed <= MOST_GROWTH * packed_bytes + ALWAYS_BYTES:
         return None
-    return f"{packed_bytes} bytes cannot hold {claimed}"
+    return f"{packed_bytes} bytes cannot unpack to {claimed}"
 
 
 def unpacked_array(
@@ -130,12 +130,12 @@ def unpacked_array(
     origin: Float64,
     cloud_voxel: float,
 ) -> Array:
-    """The array that a recipe makes of packed bytes.
+    """Unpack an array by its recipe.
 
     Raises
     ------
     CodingError
-        If they do not fit each other.
+        If the data do not match the recipe.
     """
     if isinstance(recipe, OctreeRecipe):
         return _from_octree(data.tobytes(), recipe, origin, cloud_voxel)
@@ -153,15 +153,15 @@ def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
     exponents = exponents_of(rows)
     with np.errstate(over="ignore"):
         numbers = np.ldexp(rows.astype(np.float64), -exponents)
-    if not (np.abs(numbers) < _MOST_CODE).all() or (np.abs(exponents) > 200).any():
+    if not (np.abs(numbers) < _MAX_CODE).all() or (np.abs(exponents) > 200).any():
         return None
-    if np.signbit(rows[rows == 0]).any():  # whole numbers know no negative zero
+    if np.signbit(rows[rows == 0]).any():  # integers have no negative zero
         return None
     codes = numbers.astype(np.int64)
     low = codes.min(axis=0) if len(codes) else np.zeros(codes.shape[1], np.int64)
     width = width_of(codes - low)
     recipe = LatticeRecipe(shape=array.shape, width=width, exponents=exponents, low=low)
-    # Numbers that are as fine as their dtype were never rounded.
+    # Numbers as fine as their dtype were never rounded.
     fits = width < array.itemsize or array.dtype.kind == "i"
     return (packed(codes - low, width), recipe) if fits else None
 
@@ -169,17 +169,17 @@ def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
 def _from_lattice(data: bytes, recipe: LatticeRecipe, dtype: np.dtype[Any]) -> Array:
     columns = prod(recipe.shape[1:])
     if not len(recipe.low) == len(recipe.exponents) == columns:
-        raise CodingError("its coding is of another width")
+        raise CodingError("coded with another width")
     codes = unpacked(data, recipe.shape[0], columns, recipe.width)
     low, whole = np.array(recipe.low, np.int64), dtype.kind == "i"
     few = recipe.width <= 2 and np.abs(low).max(initial=0) < 1 << 23 and not whole
-    exact = np.float32 if few else np.float64  # that tells all of the numbers apart
+    exact = np.float32 if few else np.float64  # exact for all of the numbers
     numbers = codes.astype(exact)
     numbers += low.astype(exact)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite numbers are rejected
         numbers *= np.ldexp(1.0, np.array(recipe.exponents)).astype(exact)
         if whole and not (np.abs(numbers) < 2.0**31).all():
-            raise CodingError("it has numbers that are out of range")
+            raise CodingError("numbers out of range")
         return numbers.astype(dtype, copy=False).reshape(recipe.shape)
 
 
@@ -194,11 +194,11 @@ def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
 def _from_palette(data: bytes, recipe: PaletteRecipe) -> Float64:
     size = 8 * recipe.values
     if len(data) < size:
-        raise CodingError("it is cut short")
+        raise CodingError("cut off")
     values = np.frombuffer(data[:size], "<f8")
     rows = unpacked(data[size:], recipe.shape[0], 1, recipe.width)[:, 0]
     if rows.max(initial=0) >= max(recipe.values, 1) or (len(rows) and not len(values)):
-        raise CodingError("it points to values that it has not")
+        raise CodingError("palette index out of range")
     found: Float64 = values[rows]
     return found
 
@@ -211,7 +211,7 @@ def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, Octr
     low = cells.min(axis=0) if len(cells) else np.zeros(3)
     indices = (cells - low).astype(np.int64)
     most = int(indices.max(initial=0))
-    if most >= MAX_VOXELS or (np.abs(low) > _MOST_CELL).any():
+    if most >= MAX_VOXELS or (np.abs(low) > _MAX_CELL).any():
         return None
     levels = max(most.bit_length(), 1)
     codes = _native.octree_encode(indices.astype(np.int32), levels)
@@ -229,7 +229,7 @@ def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, Octr
 def _lies_on(points: Float32, origin: Float64, voxel: float, bits: int) -> bool:
     if not np.isfinite(points).all() or not np.isfinite(origin).all():
         return False
-    for part in (points[:64], points):  # most that do not show it at once
+    for part in (points[:64], points):  # most counterexamples show in the first few
         cells, parts = cells_and_parts(part, origin, voxel, bits)
         if not np.array_equal(lattice_points(cells, parts, origin, voxel, bits), part):
             return False
@@ -248,7 +248,7 @@ def _from_octree(data: bytes, recipe: OctreeRecipe, origin: Float64, voxel: floa
 
 
 def _as_bits(parts: Bytes, bits: int) -> bytes:
-    """The low bits of (N, 3) numbers, one behind the other."""
+    """Return the low bits of (N, 3) numbers, concatenated."""
     each = (parts.reshape(-1, 1) >> np.arange(bits, dtype=np.uint8)) & 1
     return np.packbits(each.reshape(-1), bitorder="little").tobytes()
 
@@ -258,32 +258,32 @@ def _as_rows(array: Array) -> Array:
 
 
 class CodingError(Exception):
-    """What was packed does not unpack to what it should; one line."""
+    """Packed data do not match their recipe; one line."""
 
 
 def width_of(codes: Int64) -> int:
-    """The bytes that numbers need that are not negative."""
+    """Return the bytes per number that non-negative numbers need."""
     most = int(codes.max(initial=0))
     return next(width for width in WIDTHS if most < 1 << (8 * width - (width == 8)))
 
 
 def packed(codes: Int64, width: int) -> bytes:
-    """(P, C) numbers of so many bytes."""
+    """Pack (P, C) numbers of ``width`` bytes."""
     numbers = codes.astype(_unsigned(width))
     steps = np.diff(numbers, axis=0, prepend=numbers.dtype.type(0)).view(_signed(width))
     bits = 8 * width - 1
-    zigzag = ((steps << 1) ^ (steps >> bits)).view(_unsigned(width))  # small ones, whatever sign
+    zigzag = ((steps << 1) ^ (steps >> bits)).view(_unsigned(width))  # small for either sign
     planes = zigzag.reshape(-1, 1).view(np.uint8).T
     return deflated(planes.tobytes())
 
 
 def unpacked(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
-    """The (rows, columns) unsigned numbers of :func:`packed`.
+    """Unpack the (rows, columns) unsigned numbers of :func:`packed`.
 
     Raises
     ------
     CodingError
-        If the data do not unpack to so many.
+        If the data have another size.
     """
     planes = np.frombuffer(inflated(data, rows * columns * width), np.uint8)
     zigzag = planes.reshape(width, -1).T.copy().view(_unsigned(width)).reshape(rows, columns)
@@ -293,7 +293,7 @@ def unpacked(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
 
 
 def deflated(data: bytes) -> bytes:
-    """The shorter of two ways to deflate bytes."""
+    """Deflate bytes in the shorter of two ways."""
     ways = []
     for strategy in (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED):
         packer = zlib.compressobj(9, strategy=strategy)
@@ -302,7 +302,7 @@ def deflated(data: bytes) -> bytes:
 
 
 def inflated(data: bytes, size: int) -> bytes:
-    """So many bytes, inflated; never more, whatever the data claim.
+    """Inflate to ``size`` bytes, never more.
 
     Raises
     ------
@@ -312,9 +312,9 @@ def inflated(data: bytes, size: int) -> bytes:
     try:
         found = unpacker.decompress(data, size + 1)
     except zlib.error as error:
-        raise CodingError("it cannot be inflated") from error
+        raise CodingError("not deflated data") from error
     if len(found) != size or not unpacker.eof or unpacker.unused_data:
-        raise CodingError(f"it does not inflate to {size} bytes")
+        raise CodingError(f"does not inflate to {size} bytes")
     return found
 
 
@@ -327,13 +327,13 @@ def _signed(width: int) -> np.dtype[Any]:
 
 
 def exponents_of(columns: NDArray[Any]) -> Int64:
-    """For each column of (P, C) numbers the coarsest lattice that holds them all: 2 to this power.
+    """Return the exponent of the coarsest lattice that holds each column of (P, C) numbers.
 
-    That of a column of zeros is 2 to the power 0.
+    It is 0 for a column of zeros.
     """
     mantissas, powers = np.frexp(columns.astype(np.float64))
     whole = np.ldexp(mantissas, _MANTISSA).astype(np.int64)
-    lowest = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # the lowest bit that is set
+    lowest = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # lowest set bit
     natural = powers.astype(np.int64) - _MANTISSA + lowest
     natural = np.where(whole == 0, np.iinfo(np.int64).max, natural)
     exponents: Int64 = natural.min(axis=0, initial=np.iinfo(np.int64).max)
@@ -342,10 +342,10 @@ def exponents_of(columns: NDArray[Any]) -> Int64:
 
 
 def spread_exponents(columns: NDArray[Any], levels: int) -> Int64:
-    """For each column of (P, C) numbers a lattice with about so many steps across its spread.
+    """Return the exponent of a lattice with about ``levels`` steps across each column's spread.
 
-    The spread is six standard deviations. A column that lies on a lattice half as coarse already
-    keeps it, so that rounding by these exponents twice is rounding once.
+    The spread is six standard deviations of (P, C) numbers. A column on a lattice half as coarse
+    keeps it, so that rounding is idempotent.
     """
     spread = 6.0 * columns.astype(np.float64).std(axis=0) if len(columns) else np.zeros(1)
     with np.errstate(divide="ignore"):
@@ -356,16 +356,16 @@ def spread_exponents(columns: NDArray[Any], levels: int) -> Int64:
 
 
 def rounded(columns: NDArray[Any], exponents: Int64) -> Float64:
-    """(P, C) numbers, each the nearest of the lattice of its column."""
+    """Round (P, C) numbers to the lattice of their column."""
     steps = np.ldexp(1.0, exponents)
-    nearest: Float64 = np.round(columns.astype(np.float64) / steps) * steps + 0.0  # none is -0.0
+    nearest: Float64 = np.round(columns.astype(np.float64) / steps) * steps + 0.0  # no -0.0
     return nearest
 
 
 def cells_and_parts(
     points: Float32, origin: Float64, voxel: float, bits: int
 ) -> tuple[Float64, Float64]:
-    """The voxel of each of (N, 3) points, and the part of it: each axis has 2 to the power bits."""
+    """Return the voxel of each of (N, 3) points, and its part, 2 ** bits per axis."""
     scaled = (points.astype(np.float64) + origin) / voxel
     cells = np.floor(scaled)
     return cells, np.floor((scaled - cells) * 2**bits)
@@ -374,9 +374,9 @@ def cells_and_parts(
 def lattice_points(
     cells: NDArray[Any], parts: NDArray[Any], origin: Float64, voxel: float, bits: int
 ) -> Float32:
-    """The (N, 3) centres of parts of voxels, relative to ``origin``."""
+    """Return the (N, 3) centres of parts of voxels, relative to ``origin``."""
     points = np.empty(cells.shape, np.float32)
-    for axis in range(3):  # one at a time: a third of the memory
+    for axis in range(3):  # one axis at a time takes a third of the memory
         inner = (parts[:, axis] + 0.5) / 2**bits
         points[:, axis] = (cells[:, axis] + inner) * voxel - origin[axis]
     return points

@@ -1,4 +1,4 @@
-"""A map made small: its numbers on lattices, and no more views of an object than help."""
+"""Shrink a map: round its numbers to lattices and drop redundant views of objects."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .segment_map import SegmentMap
 from .voxel_cloud import VoxelCloud
 
 CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
-"""Centroids are kept to 1/64 m, qualities to 1/64."""
+"""Centroids are rounded to 1/64 m, qualities to 1/64."""
 SIZE_BITS = 3
-"""Numbers of points are kept to so many binary digits."""
+"""Binary digits kept of numbers of points."""
 POSITION_EXPONENT, ROTATION_EXPONENT = -7, -12
-"""Positions of the path are kept to 1/128 m, entries of its rotations to 1/4096."""
+"""Positions of the trajectory are rounded to 1/128 m, entries of its rotations to 1/4096."""
 
 
 class CompactConfig(Section):
-    """What is kept of a map's numbers."""
+    """What a compact map keeps."""
 
     enabled: bool = Field(True, description="false: keep every number as measured")
     bits: int = Field(
@@ -49,11 +49,11 @@ class CompactConfig(Section):
 
 
 def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
-    """The same map in fewer bits; making it compact twice is making it compact once.
+    """Return the map in fewer bits; idempotent.
 
     Numbers of descriptors are rounded to a power of two below their spread, points of the cloud to
-    the centres of parts of their voxels. Of the views of an object in a session those of the best
-    quality stay. Segments are put into an order in which neighbours follow one another.
+    the centres of parts of their voxels. Of an object's views in a session the best by quality are
+    kept. Segments are sorted so that neighbours follow one another.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
 
 
 def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
-    """The same map with all but its vectors on lattices: what is chosen next depends on these."""
+    """Return the map with all but its vectors on lattices, on which the selection depends."""
     segments = prior_map.columns()
     segments["centroids"] = _to_step(segments["centroids"], CENTROID_EXPONENT)
     if "quality" in segments:
@@ -96,7 +96,7 @@ def _with(
 
 
 def best_views(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
-    """Which segments stay when an object has so many views of each session at most."""
+    """Return which segments stay if an object has at most ``max_views`` per session."""
     keep = np.ones(len(prior_map), dtype=bool)
     if config.max_views:
         for session in np.unique(prior_map.session):
@@ -111,7 +111,7 @@ def _best_of_session(
     centroids, sizes = prior_map.centroids[rows], prior_map.sizes[rows]
     quality = np.zeros(len(rows)) if prior_map.quality is None else prior_map.quality[rows]
     near = cKDTree(centroids).query_ball_point(centroids, config.same_m)
-    taken = np.zeros(len(rows), np.int64)  # views near each that stay
+    taken = np.zeros(len(rows), np.int64)  # kept views near each
     keep = np.zeros(len(rows), dtype=bool)
     for i in np.lexsort((prior_map.stamps[rows], *centroids.T, sizes, quality))[::-1]:
         if taken[i] < config.max_views:
@@ -121,7 +121,7 @@ def _best_of_session(
 
 
 def _near_path(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
-    """Which points of the cloud lie near enough to the path, seen from above."""
+    """Return which points of the cloud lie near the trajectory, seen from above."""
     path = prior_map.trajectory[:, :2, 3] - prior_map.origin[:2]
     if not config.cloud_range_m or not len(path):
         return np.ones(len(prior_map.cloud), dtype=bool)
@@ -132,7 +132,7 @@ def _near_path(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_
 
 
 def _along_curve(prior_map: SegmentMap) -> Int64:
-    """The order of the segments along a curve through cells of half a metre: objects together."""
+    """Return the order of segments along a curve through cells of 0.5 m, near ones together."""
     if not len(prior_map):
         return np.empty(0, np.int64)
     cells = np.floor(prior_map.centroids / 0.5)
@@ -158,7 +158,7 @@ def _to_step(numbers: NDArray[Any], exponent: int) -> Float64:
 
 
 def _to_digits(sizes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Whole numbers with all but their first binary digits cut off."""
+    """Truncate integers to their first binary digits."""
     digits = np.frexp(sizes.astype(np.float64))[1]
     shift = np.maximum(digits - SIZE_BITS, 0)
     cut: NDArray[np.int32] = (sizes >> shift) << shift

@@ -20,14 +20,14 @@ from .merge import TEXT_SEPARATOR
 from .segment_map import SegmentMap
 
 DEFAULT_METHOD = "profile"
-_MAX_CHARACTERS = 1 << 16  # of the configuration in a map file; one has about 3000
+_MAX_CHARACTERS = 1 << 16  # of the configuration in a map file, which has about 3000
 
 SMALL_CLOUD_VOXEL_M = 0.4
-"""Of the cloud of a map that shall be small."""
+"""Voxel of the cloud of a small map [m]."""
 
 
 class ViewConfig(Section):
-    """One length of local cloud that a map is built from."""
+    """One length of the local clouds of a map."""
 
     length_m: float = Field(
         ge=0, le=10_000, description="travelled distance a view spans; 0: single scans"
@@ -36,7 +36,7 @@ class ViewConfig(Section):
 
 
 class MappingConfig(Section):
-    """What a map keeps: views of several lengths, since short ones match single scans best."""
+    """Views of a map: several lengths, since short ones match single scans best."""
 
     views: tuple[ViewConfig, ...] = Field(
         (
@@ -54,13 +54,13 @@ class MappingConfig(Section):
     compact: CompactConfig = CompactConfig()
 
     def smallest(self) -> MappingConfig:
-        """The same for a map that shall take as little room as it can."""
+        """Return the settings for the smallest map."""
         compact = CompactConfig(bits=4, max_views=1, cloud_bits=0, cloud_range_m=30.0)
         return self.model_copy(update={"compact": compact, "cloud_voxel": SMALL_CLOUD_VOXEL_M})
 
 
 class BuildConfig(Section):
-    """All that a map depends on; :class:`segloc.Config` adds what queries in it need.
+    """Configuration of a map; :class:`segloc.Config` adds the settings of queries.
 
     Frozen: derive a changed one with ``model_copy(update=...)``.
     """
@@ -76,24 +76,24 @@ class BuildConfig(Section):
     mapping: MappingConfig = MappingConfig()
 
     def to_yaml(self) -> str:
-        """The whole configuration as YAML, with every default written out."""
+        """Return the whole configuration as YAML, including defaults."""
         text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
         return text
 
 
 def checked_build_config(config: BuildConfig | None) -> BuildConfig:
-    """The given configuration, or that of the default method.
+    """Return the given configuration, or that of the default method.
 
     Raises
     ------
     ConfigError
-        If it is something else.
+        If it is of another type.
     """
     if config is None:
         return BuildConfig.model_validate(_known(dict(preset(DEFAULT_METHOD)), BuildConfig))
     if not isinstance(config, BuildConfig):
         raise ConfigError(
-            f"config must be a segloc.Config, not {type(config).__name__}: poses go by poses=..."
+            f"config must be a segloc.Config, not {type(config).__name__}; pass poses as poses=..."
         )
     return config
 
@@ -102,15 +102,15 @@ BuildConfigT = TypeVar("BuildConfigT", bound=BuildConfig)
 
 
 def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConfigT:
-    """The configuration that a map was built with, except threads and the sensor's mount.
+    """Return the configuration a map was built with, except threads and the sensor's mount.
 
     Parameters
     ----------
     prior_map : SegmentMap
-        If it was merged from maps built differently, the first one's configuration is returned. If
-        it holds none that this version reads, the preset of its method is.
+        If it was merged from maps of different configurations, the first one is returned. If this
+        version cannot read it, the preset of its method is.
     model : type
-        :class:`BuildConfig`, or a subclass that reads more of the same text.
+        :class:`BuildConfig` or a subclass.
     """
     parsed: BuildConfigT | None = _parsed(stored_text(prior_map), prior_map.descriptor, model)
     if parsed is not None:
@@ -120,13 +120,13 @@ def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConf
 
 
 def stored_text(prior_map: SegmentMap) -> str:
-    """The configuration of a map as YAML; the first of several, "" if it holds none."""
+    """Return the configuration of a map as YAML; the first of several, "" if it has none."""
     return prior_map.metadata.get("config", "").split(TEXT_SEPARATOR)[0]
 
 
-@lru_cache(maxsize=8)  # the tiles of a map share one text, and YAML is slow to parse
+@lru_cache(maxsize=8)  # tiles of a map share one text, and YAML is slow to parse
 def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT | None:
-    if len(text) > _MAX_CHARACTERS:  # map files come from strangers
+    if len(text) > _MAX_CHARACTERS:  # map files are untrusted
         return None
     try:
         values = parse_yaml(text, "the map") or {}
@@ -141,6 +141,6 @@ def _known(values: dict[str, object], model: type[BuildConfig]) -> dict[str, obj
 
 
 def unmounted(config: BuildConfigT) -> BuildConfigT:
-    """The configuration without the sensor's mount, which is the robot's and not the map's."""
+    """Return the configuration without the sensor's mount, which belongs to the robot."""
     local_cloud = config.local_cloud.model_copy(update={"mount": MountConfig()})
     return config.model_copy(update={"local_cloud": local_cloud})

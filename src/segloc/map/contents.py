@@ -1,6 +1,6 @@
-"""What the values of a map must be: a checksum finds damage, and says nothing of them.
+"""Validation of a map's values; checksums only detect damage.
 
-The same rules hold where a map is filled, written and read, so that what could be saved loads.
+The same rules apply when a map is filled, written and read, so every saved map loads.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from ..types import Float32, Float64
 Array = NDArray[Any]
 
 MAX_CLOUD_M = 1e6
-"""From the cloud's origin: farther out float32 is coarser than 6 cm."""
+"""Maximum distance from the cloud's origin [m]; beyond, float32 is coarser than 6 cm."""
 
 CLOUD_VOXELS_M = (1e-3, 1e3)
 MAX_VOXELS = 1 << 21
-"""Along an axis of the cloud: three indices pack into 63 bits."""
+"""Per axis of the cloud: three indices pack into 63 bits."""
 
 MAX_DIM = 1 << 20
 _LARGEST = float(np.finfo(np.float64).max)
-_MOST_TEXT = 1000  # characters of a name
+_MAX_TEXT = 1000  # characters of a name
 
 RANGES: dict[str, tuple[float, float]] = {
     "origin": (-MOST_METRES, MOST_METRES),
     "centroids": (-MOST_METRES, MOST_METRES),
     "stamps": (-_LARGEST, _LARGEST),
     "trajectory": (-MOST_METRES, MOST_METRES),
-    "vectors": (-1e15, 1e15),  # so that squares of distances are finite
+    "vectors": (-1e15, 1e15),  # squares of distances stay finite
     "quality": (0, 1),
     "cloud": (-MAX_CLOUD_M, MAX_CLOUD_M),
     "sizes": (0, 2**31 - 1),
     "missed": (0, 2**30),
 }
-"""What is in no range is refused, and so is what is not finite. Sessions may have any number."""
+"""Values outside their range or not finite are rejected. Session numbers are unlimited."""
 
 
 class Extremes:
-    """Least and largest of the numbers seen so far, both NaN if one of them is; zeros of none."""
+    """Minimum and maximum of the numbers so far; NaN if one is NaN, 0 if there are none."""
 
     def __init__(self) -> None:
         self._lows: list[float] = []
@@ -63,7 +63,7 @@ class Extremes:
 
 
 def extremes_of(array: Array) -> Extremes:
-    """Of all numbers of an array."""
+    """Return the extremes of an array."""
     extremes = Extremes()
     if array.size:
         extremes.see(array)
@@ -73,21 +73,21 @@ def extremes_of(array: Array) -> Extremes:
 def arrays_fault(
     arrays: Mapping[str, Array], cloud_voxel: float, extremes: Mapping[str, Extremes] | None = None
 ) -> str | None:
-    """What is wrong with the arrays of a map, with field and row; None if nothing is.
+    """Return the fault of a map's arrays, with field and row; None if valid.
 
-    ``extremes`` are those of the arrays, where they are known.
+    ``extremes``: of the arrays, if known.
     """
     known = extremes or {name: extremes_of(array) for name, array in arrays.items()}
     for name, array in arrays.items():
         if fault := column_fault(name, array, known[name]):
             return fault
     if known["cloud"].high - known["cloud"].low <= cloud_voxel * MAX_VOXELS:
-        return None  # which is sooner known than the span of each axis
+        return None  # no need to measure the span of each axis
     return _span_fault(arrays["cloud"], cloud_voxel)
 
 
 def column_fault(name: str, array: Array, extremes: Extremes | None = None) -> str | None:
-    """What is wrong with one array, with the first row that is; None if nothing is."""
+    """Return the fault of one array, with its first invalid row; None if valid."""
     if name not in RANGES or not array.size:
         return None
     extremes = extremes or extremes_of(array)
@@ -98,9 +98,9 @@ def column_fault(name: str, array: Array, extremes: Extremes | None = None) -> s
 
 
 def texts_fault(descriptor: Any, fingerprint: Any, metadata: Mapping[Any, Any]) -> str | None:
-    """What is wrong with the texts of a map; None if nothing is."""
+    """Return the fault of a map's texts; None if valid."""
     for name, text in (("descriptor", descriptor), ("fingerprint", fingerprint)):
-        if not (isinstance(text, str) and len(text) <= _MOST_TEXT and text.isprintable()):
+        if not (isinstance(text, str) and len(text) <= _MAX_TEXT and text.isprintable()):
             return f"{name}: not a line of text"
     for key, text in metadata.items():
         if not (_is_text(key) and _is_text(text)):
@@ -109,7 +109,7 @@ def texts_fault(descriptor: Any, fingerprint: Any, metadata: Mapping[Any, Any]) 
 
 
 def voxel_fault(cloud_voxel: float) -> str | None:
-    """What is wrong with the voxel of a cloud; None if nothing is."""
+    """Return the fault of a cloud's voxel size; None if valid."""
     low, high = CLOUD_VOXELS_M
     if low <= cloud_voxel <= high:
         return None
@@ -117,7 +117,7 @@ def voxel_fault(cloud_voxel: float) -> str | None:
 
 
 def relative_fault(points: Float32) -> str | None:
-    """What is wrong with points relative to a cloud's origin; None if nothing is."""
+    """Return the fault of points relative to a cloud's origin; None if valid."""
     if not (fault := column_fault("cloud", points)):
         return None
     if not np.isfinite(points).all():
@@ -146,11 +146,11 @@ def _pose_fault(poses: Float64) -> str | None:
     R = poses[:, :3, :3]
     skewed = ~are_rotations(R)
     skewed |= np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9
-    return f"trajectory: row {int(np.argmax(skewed))} is no rigid pose" if skewed.any() else None
+    return f"trajectory: row {int(np.argmax(skewed))} is not a rigid pose" if skewed.any() else None
 
 
 def _span_fault(cloud: Float32, voxel: float) -> str | None:
     span = float(np.ptp(cloud, axis=0).max())
     if span <= voxel * MAX_VOXELS:
         return None
-    return f"cloud: it spans {span:g} m, more than {MAX_VOXELS} voxels of {voxel:g} m"
+    return f"cloud: span of {span:g} m exceeds {MAX_VOXELS} voxels of {voxel:g} m"

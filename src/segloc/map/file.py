@@ -1,10 +1,10 @@
 """The ``.segmap`` file: arrays in safetensors layout, with a version and checksums.
 
 The layout is that of https://github.com/huggingface/safetensors: a length, a JSON header, and raw
-little-endian buffers, so a map can be opened by any safetensors reader and never runs code. The
-header's ``__metadata__`` holds the format version, the map's own text fields, a BLAKE2b-128
-checksum of every array, and one of the header itself. In version 2 the arrays are packed
-(:mod:`.coding`); a map whose numbers lie on no lattice is written in version 1, as they are.
+little-endian buffers, so any safetensors reader opens a map, and reading it runs no code. The
+header's ``__metadata__`` holds the format version, the map's text fields, a BLAKE2b-128 checksum
+of every array, and one of the header itself. In version 2 the arrays are packed (:mod:`.coding`); a
+map whose numbers lie on no lattice is written in version 1, unpacked.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..errors import MapFormatError, SeglocError
 from ..io.clouds import is_cloud
 from ..system.files import replacing
-from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, opened
+from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, open_tensor_file
 from .coding import (
     CodingError,
     Recipes,
@@ -35,9 +35,9 @@ from .coding import (
 from .contents import MAX_DIM, Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
 
 FORMAT_VERSION = 2
-"""Raised whenever an older reader would misread a newer file."""
+"""To be increased when older readers would misread newer files."""
 PLAIN, PACKED = 1, 2
-"""The version of files whose arrays are as they are, and of those where they are packed."""
+"""Versions of files with plain and with packed arrays."""
 
 Array = NDArray[Any]
 
@@ -46,7 +46,7 @@ REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "U8": "|u1"}
 _DTYPE_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _VERSION, _CHECKSUM, _CODING = "segmap_version", "checksum", "coding"
-# Name -> dtype and shape. A letter stands for a length that must agree wherever it occurs.
+# Name -> dtype and shape. A letter stands for a length that must be equal wherever it occurs.
 SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "origin": ("F64", (3,)),
     "centroids": ("F64", ("P", 3)),
@@ -64,7 +64,7 @@ OPTIONAL = frozenset({"quality", "missed"})
 
 @dataclass(frozen=True)
 class Contents:
-    """What a map file holds.
+    """Contents of a map file.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Contents:
         The arrays of ``SCHEMA``.
     descriptor, fingerprint : str
     cloud_voxel : float
-        Metres.
+        Voxel size of the cloud [m].
     metadata : dict of str to str
     """
 
@@ -83,7 +83,7 @@ class Contents:
     metadata: Mapping[str, str]
 
     def fault(self, extremes: Mapping[str, Extremes] | None = None) -> str | None:
-        """What is wrong with the values, with field and row; None if nothing is."""
+        """Return the fault of the values, with field and row; None if valid."""
         return (
             texts_fault(self.descriptor, self.fingerprint, self.metadata)
             or voxel_fault(self.cloud_voxel)
@@ -101,18 +101,18 @@ class Contents:
 
 
 def write(path: str | Path, contents: Contents) -> None:
-    """Write a map file: whole or not at all, and the same bytes for the same map.
+    """Write a map file atomically; equal maps give equal bytes.
 
     Raises
     ------
     SeglocError
-        If the file cannot be written, or :func:`read` would refuse what it holds.
+        If the file cannot be written, or :func:`read` would reject it.
     """
     if fault := contents.fault():
         raise SeglocError(f"{path}: not written: {fault}")
     data = {
         name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
-        for name, (dtype, _) in SCHEMA.items()  # widest first, which keeps every buffer aligned
+        for name, (dtype, _) in SCHEMA.items()  # widest first, to keep buffers aligned
         if name in contents.arrays
     }
     texts = {**contents.fields(), _VERSION: str(PLAIN)}
@@ -126,7 +126,7 @@ def write(path: str | Path, contents: Contents) -> None:
     texts[_CHECKSUM] = _header_digest(texts, shapes)
     header = _header(texts, shapes, {name: array.nbytes for name, array in data.items()})
     if len(header) > MAX_HEADER_BYTES:
-        raise SeglocError(f"{path}: not written: metadata of {len(header)} bytes are too long")
+        raise SeglocError(f"{path}: not written: metadata too long ({len(header)} bytes)")
     with replacing(path) as stream:
         stream.write(header)
         for array in data.values():
@@ -136,30 +136,30 @@ def write(path: str | Path, contents: Contents) -> None:
 def read(path: str | Path) -> Contents:
     """Read a map file.
 
-    Sizes are checked against the length of the file before any array is allocated, and values
-    when the checksums have been. The file is read, not mapped: cut short meanwhile it is refused.
+    Sizes are checked against the length of the file before allocation, values after the checksums.
+    The file is read, not memory-mapped: a file truncated meanwhile is rejected.
 
     Raises
     ------
     MapFormatError
-        If there is no such file, or it is truncated, corrupt, newer, or no map, or a value in it
-        is not finite or absurd; one line, which names file, field and row.
+        If the file is missing, truncated, corrupt, of a newer version, or no map, or a value is
+        not finite or implausible; one line that names file, field and row.
     """
     try:
         if is_cloud(Path(path)) and Path(path).exists():
             raise MapFormatError(
-                f"{path}: is a point cloud, not a map: make one of it by "
+                f"{path}: a point cloud, not a map: build a map from it with "
                 "`segloc map from-cloud CLOUD --out MAP.segmap`"
             )
         if not Path(path).is_file():
             if Path(path).is_dir():
-                raise MapFormatError(f"{path}: is a folder, not a .segmap file")
-            kind = "is not a regular file" if Path(path).exists() else "no such file"
+                raise MapFormatError(f"{path}: a folder, not a .segmap file")
+            kind = "not a regular file" if Path(path).exists() else "no such file"
             raise MapFormatError(f"{path}: {kind}")
-        with opened(path) as file:
+        with open_tensor_file(path) as file:
             return _read_checked(path, file)
     except TensorFileError as error:
-        raise MapFormatError(f"{path}: cannot be read as a map ({error})") from error
+        raise MapFormatError(f"{path}: unreadable as a map ({error})") from error
     except OSError as error:
         raise MapFormatError(f"{path}: cannot be read: {error}") from error
 
@@ -193,7 +193,7 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
 def _recipes(
     path: str | Path, texts: Mapping[str, str], shapes: Mapping[str, tuple[str, list[int]]]
 ) -> Recipes:
-    """How the arrays of a file were packed: each but the origin was."""
+    """Return how the arrays of a file were packed: each except the origin."""
     try:
         recipes = recipes_of(texts.get(_CODING, ""))
     except CodingError as error:
@@ -201,9 +201,9 @@ def _recipes(
     bytes_of = {name: shape for name, shape in shapes.items() if name != "origin"}
     for name, (dtype, shape) in bytes_of.items():
         if name not in recipes or name not in SCHEMA or dtype != "U8" or len(shape) != 1:
-            raise MapFormatError(f"{path}: {name} is {dtype} {tuple(shape)}, and is to be packed")
+            raise MapFormatError(f"{path}: {name} is {dtype} {tuple(shape)}, must be packed")
     if lost := recipes.keys() - bytes_of.keys():
-        raise MapFormatError(f"{path}: lacks {', '.join(sorted(lost))}")
+        raise MapFormatError(f"{path}: missing {', '.join(sorted(lost))}")
     if fault := fault_of_growth(recipes, sum(shape[0] for _, shape in bytes_of.values())):
         raise MapFormatError(f"{path}: damaged: {fault}")
     return recipes
@@ -256,7 +256,7 @@ def _checked_version(path: str | Path, texts: Mapping[str, str]) -> int:
 def _check_fields(path: str | Path, texts: Mapping[str, str]) -> None:
     missing = [key for key in REQUIRED_FIELDS if key not in texts]
     if missing:
-        raise MapFormatError(f"{path}: lacks {', '.join(missing)}")
+        raise MapFormatError(f"{path}: missing {', '.join(missing)}")
 
 
 def _header(
@@ -264,7 +264,7 @@ def _header(
     shapes: Mapping[str, tuple[str, list[int]]],
     sizes: Mapping[str, int],
 ) -> bytes:
-    # Written here because the package orders the metadata at random: equal maps, equal bytes.
+    # Written here since the safetensors package orders metadata at random.
     header: dict[str, Any] = {"__metadata__": dict(sorted(texts.items()))}
     begin = 0
     for name, (dtype, shape) in shapes.items():
@@ -287,11 +287,11 @@ def _digest(array: Array) -> str:
 
 
 def shapes_fault(shapes: Mapping[str, tuple[str, list[int]]]) -> str | None:
-    """What is wrong with the tensors of a file, by their dtypes and shapes; None if nothing is."""
+    """Return the fault of a file's tensors by dtype and shape; None if valid."""
     missing = SCHEMA.keys() - OPTIONAL - shapes.keys()
     unknown = shapes.keys() - SCHEMA.keys()
     if missing or unknown:
-        fault = "lacks" if missing else "has unknown"
+        fault = "missing" if missing else "unknown"
         return f"{fault} {', '.join(sorted(missing or unknown))}"
     lengths: dict[str, int] = {}
     for name, (dtype, shape) in shapes.items():
@@ -307,5 +307,5 @@ def shapes_fault(shapes: Mapping[str, tuple[str, list[int]]]) -> str | None:
             if isinstance(d, str):
                 lengths[d] = size
     if not 0 < lengths["D"] <= MAX_DIM:
-        return f"vectors have {lengths['D']} numbers, not 1 to {MAX_DIM}"
+        return f"vectors have {lengths['D']} numbers, must be 1 to {MAX_DIM}"
     return None

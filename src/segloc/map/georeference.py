@@ -1,4 +1,4 @@
-"""Where a map lies on the globe: in a projected frame, named by its EPSG code, at an origin."""
+"""Georeference of a map: a projected frame by its EPSG code, and the map's origin in it."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from ..system.checks import MOST_METRES
 from ..types import Float64
 
 KEY = "georeference"
-"""Of the metadata of a map."""
+"""Key in the metadata of a map."""
 _WGS84 = 4979  # latitude, longitude, and height above the ellipsoid
 
 
 @dataclass(frozen=True)
 class Georeference:
-    """Coordinates of a projected frame are those of the map and ``origin_m``; axes are the same.
+    """Offset of the map in a projected frame; the axes are the same.
 
     Attributes
     ----------
     epsg : int
-        Of a projected frame with an east and a north axis in metres, such as 25832.
+        Code of a projected frame with east and north axes in metres, such as 25832.
     origin_m : (float, float, float)
         East, north and up of the map's origin in that frame.
 
     Raises
     ------
     ConfigError
-        If a number is absurd.
+        If a number is implausible.
     """
 
     epsg: int
@@ -41,19 +41,19 @@ class Georeference:
 
     def __post_init__(self) -> None:
         if not 1 <= self.epsg <= 999_999:
-            raise ConfigError(f"{self.epsg} is no EPSG code")
+            raise ConfigError(f"{self.epsg} is not an EPSG code")
         origin = np.array(self.origin_m, np.float64)
         if origin.shape != (3,) or not (np.abs(origin) <= MOST_METRES).all():
-            raise ConfigError(f"the origin of a map is east, north and up, not {self.origin_m!r}")
+            raise ConfigError(f"the origin of a map must be east, north, up, not {self.origin_m!r}")
 
     @classmethod
     def of(cls, metadata: Mapping[str, str]) -> Georeference | None:
-        """That of a map, by its metadata; None where it has none.
+        """Return the georeference in a map's metadata; None if it has none.
 
         Raises
         ------
         MapFormatError
-            If it cannot be read, or several were merged.
+            If it cannot be read, or maps with several were merged.
         """
         text = metadata.get(KEY)
         if text is None:
@@ -63,24 +63,24 @@ class Georeference:
             east, north, up = map(float, values["origin_m"])
             return cls(int(values["epsg"]), (east, north, up))
         except (ValueError, KeyError, TypeError, RecursionError, ConfigError) as error:
-            raise MapFormatError(f"metadata: no georeference: {text[:80]!r}") from error
+            raise MapFormatError(f"metadata: invalid georeference: {text[:80]!r}") from error
 
     def to_text(self) -> str:
-        """What the metadata of a map hold."""
+        """Return the text for a map's metadata."""
         return json.dumps({"epsg": self.epsg, "origin_m": list(self.origin_m)})
 
     def __str__(self) -> str:
         return f"EPSG:{self.epsg}, origin at {', '.join(f'{m:g}' for m in self.origin_m)}"
 
     def in_map(self, degrees: Float64) -> Float64:
-        """Map coordinates of (N, 3) longitude, latitude (degrees) and height (m) in WGS 84.
+        """Convert (N, 3) longitude, latitude [deg] and height [m] in WGS 84 to map coordinates.
 
-        What lies outside the frame is not finite.
+        Points outside the frame are not finite.
 
         Raises
         ------
         ConfigError
-            If there is no such projected frame in metres.
+            If the EPSG code is not a projected frame in metres.
         MissingDependency
             If pyproj is not installed.
         """
@@ -89,9 +89,9 @@ class Georeference:
         return np.asarray(xyz - np.array(self.origin_m), dtype=np.float64)
 
     def on_globe(self, xyz: Float64) -> Float64:
-        """Longitude, latitude (degrees) and height (m) in WGS 84 of (N, 3) map coordinates.
+        """Convert (N, 3) map coordinates to longitude, latitude [deg] and height [m] in WGS 84.
 
-        Errors are those of :meth:`in_map`.
+        Raises as :meth:`in_map`.
         """
         _, back = _transformers(self.epsg)
         found = back.transform(*(np.asarray(xyz, np.float64) + np.array(self.origin_m)).T)
@@ -100,7 +100,7 @@ class Georeference:
 
 @lru_cache(maxsize=4)
 def _transformers(epsg: int) -> tuple[Any, Any]:
-    """From WGS 84 to a projected frame, and back."""
+    """Return transformers from WGS 84 to a projected frame, and back."""
     try:
         import pyproj
     except ImportError as error:
@@ -108,10 +108,10 @@ def _transformers(epsg: int) -> tuple[Any, Any]:
     try:
         frame = pyproj.CRS.from_epsg(epsg)
     except pyproj.exceptions.CRSError as error:
-        raise ConfigError(f"EPSG:{epsg}: pyproj knows no such frame") from error
+        raise ConfigError(f"EPSG:{epsg}: unknown to pyproj") from error
     metres = all(axis.unit_conversion_factor == 1.0 for axis in frame.axis_info)
     if not (frame.is_projected and metres):
-        raise ConfigError(f"EPSG:{epsg} ({frame.name}) is no projected frame in metres")
+        raise ConfigError(f"EPSG:{epsg} ({frame.name}) is not a projected frame in metres")
     options = {"always_xy": True}
     return (
         pyproj.Transformer.from_crs(_WGS84, frame, **options),

@@ -1,4 +1,4 @@
-"""The union of two maps, part by part. Every union is idempotent, and commutative up to order."""
+"""Union of two maps, part by part; idempotent, and commutative up to order."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Key = tuple[bytes, int]
 _SAME_M, _SAME_SHARE = 1.0, 0.5
 
 TEXT_SEPARATOR = "\n---\n"
-"""Between the texts of maps that were merged."""
+"""Separates the texts of merged maps."""
 
 
 def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) -> dict[str, Array]:
-    """All rows of ``mine``, then those of ``theirs`` that are new to the last bit.
+    """Return all rows of ``mine``, then the rows of ``theirs`` that differ in any bit.
 
-    Sessions do not count in the comparison: they are renumbered. See `SegmentMap.merge`. Nor does
-    ``missed``: of a segment in both the larger is kept.
+    Session numbers are not compared: they are reassigned. See `SegmentMap.merge`. Neither is
+    ``missed``: a segment in both keeps the larger value.
     """
     if not len(theirs["session"]):
         return dict(mine)
@@ -44,13 +44,13 @@ def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) ->
 
 
 def union_of_rows(mine: Array, theirs: Array) -> Array:
-    """All rows of ``mine``, then those of ``theirs`` that are new to the last bit."""
+    """Return all rows of ``mine``, then the rows of ``theirs`` that differ in any bit."""
     new = _twins(_rows([mine]), _rows([theirs])) < 0
     return np.concatenate([mine, theirs[new]])
 
 
 def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
-    """Both clouds on the coarser grid, relative to the smaller of the two origins."""
+    """Return both clouds on the coarser grid, relative to the smaller of the two origins."""
     origin: Float64 = min(mine.origin, theirs.origin, key=lambda array: tuple(array.tolist()))
     voxel = max(mine.voxel, theirs.voxel)
     union = mine.moved_to(origin, voxel)
@@ -59,7 +59,7 @@ def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
 
 
 def union_of_texts(mine: Mapping[str, str], theirs: Mapping[str, str]) -> dict[str, str]:
-    """All entries; where they differ, both as the documents of one YAML stream."""
+    """Return all entries; those that differ become documents of one YAML stream."""
     documents: dict[str, set[str]] = defaultdict(set)
     for texts in (mine, theirs):
         for key, text in texts.items():
@@ -68,7 +68,7 @@ def union_of_texts(mine: Mapping[str, str], theirs: Mapping[str, str]) -> dict[s
 
 
 def _rows(columns: list[Array]) -> list[Key]:
-    """The bytes of each row, and how many rows before it have the same bytes."""
+    """Return the bytes of each row, and how many earlier rows equal it."""
     count = len(columns[0])
     flat = [np.ascontiguousarray(c).reshape(count, -1).view(np.uint8) for c in columns if count]
     seen: dict[bytes, int] = defaultdict(int)
@@ -81,7 +81,7 @@ def _rows(columns: list[Array]) -> list[Key]:
 
 
 def _twins(mine: list[Key], theirs: list[Key]) -> Int64:
-    """For each of ``theirs`` the index of the same row in ``mine``, or -1."""
+    """Return for each of ``theirs`` the index of the equal row in ``mine``, or -1."""
     index = {key: i for i, key in enumerate(mine)}
     return np.array([index.get(key, -1) for key in theirs], dtype=np.int64)
 
@@ -101,10 +101,10 @@ def _renumbered(mine: Mapping[str, Array], theirs: Mapping[str, Array], twin: In
 def _is_known(
     mine: Mapping[str, Array], theirs: Mapping[str, Array], rows: Array, twin: Int64
 ) -> bool:
-    """Whether twins are of one session, not of two that saw a place alike.
+    """Return whether equal rows come from one session, not from two of the same place.
 
-    Rounded rows of two sessions may be the same by chance where their stamps are scan numbers. Of
-    one session, nearly all rows are the same that have the same stamp and lie at the same place.
+    Rounded rows of two sessions may be equal by chance if their stamps are scan numbers. In one
+    session nearly all rows with the same stamp and place are equal.
     """
     stamps = np.unique(mine["stamps"])
     again = rows & np.isin(theirs["stamps"], stamps)
@@ -121,7 +121,7 @@ def _is_known(
 
 
 def _free_numbers(taken: Array) -> Iterator[int]:
-    """Those above the largest, as long as they fit; then those from zero that are left."""
+    """Yield numbers above the largest while they fit, then unused ones from zero."""
     yield from range(int(taken.max()) + 1, int(np.iinfo(taken.dtype).max) + 1)
     numbers = set(taken.tolist())
     yield from (number for number in itertools.count() if number not in numbers)

@@ -1,6 +1,6 @@
-"""The prior map: described segments, and a thin cloud to verify a pose against.
+"""The prior map: segments with descriptors, and a thinned cloud to verify poses against.
 
-Functions below the class derive maps from maps: on another trajectory, or joined part by part.
+Functions below the class derive maps from maps.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ space is known."""
 
 
 class SegmentMap(SegmentTable):
-    """Segments of a place with their descriptors, and the cloud that they were cut from.
+    """Segments of a place with their descriptors, and the cloud they were cut from.
 
     Start from :meth:`from_scans`, :meth:`from_cloud`, :meth:`load` or :meth:`empty`.
 
     Attributes
     ----------
     descriptor, fingerprint : str
-        Which descriptor made the vectors; queries must use the same.
+        Descriptor of the vectors; queries must use the same.
     dim : int
         Length of a vector.
     origin : (3,) float64
-        Map frame; the cloud is relative to it, so that maps in UTM coordinates keep precision.
+        In the map frame. The cloud is relative to it, so that UTM coordinates keep precision.
     cloud_voxel : float
-        The cloud holds one point a voxel of this edge length, metres.
+        Edge length of the cloud's voxels, which hold one point each [m].
     metadata : dict of str to str
-        Free text, for example the configuration that the map was built with.
+        Free text, for example the configuration of the map.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class SegmentMap(SegmentTable):
         *,
         cloud_voxel: float = 0.3,
     ) -> SegmentMap:
-        """A map of nothing yet."""
+        """Return an empty map."""
         if dim < 1:
             raise SeglocError(f"dim must be positive, not {dim}")
         where = checked(origin, "origin", (3,), np.float64)
@@ -88,7 +88,7 @@ class SegmentMap(SegmentTable):
     def from_scans(
         cls, scans: Scanned, poses: ArrayLike | None = None, config: Section | None = None
     ) -> SegmentMap:
-        """Build a map from scans with poses; as :func:`segloc.build_map`.
+        """Build a map from scans with poses, as :func:`segloc.build_map` does.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class SegmentMap(SegmentTable):
         Raises
         ------
         SeglocError
-            If a scan or a pose is none, poses are missing, or nothing could be segmented.
+            If a scan or a pose is invalid, poses are missing, or there are no segments.
         """
         built: SegmentMap = from_above("map.build", "build_map")(scans, config, poses=poses)
         return built
@@ -121,20 +121,20 @@ class SegmentMap(SegmentTable):
         Parameters
         ----------
         points : (N, >=3) array of any float dtype, or iterable of such arrays
-            In the map's frame [m], whose z axis points up; UTM coordinates as float64.
+            In the map frame [m], z up; UTM coordinates as float64.
         config : Config, optional
             By default that of the default method.
         trajectory : (V, 4, 4) array, optional
-            Poses that the cloud was measured from; by default viewpoints on its free ground.
+            Poses the cloud was measured from; by default viewpoints on its free ground.
         sensor_height : float, optional
-            Height of these over the ground [m], by default 1.
+            Height of the viewpoints above the ground [m], by default 1.
         progress : callable, optional
-            Called with (ground covered, ground in all) by viewpoints.
+            Called with (ground covered, total) by viewpoints.
 
         Raises
         ------
         SeglocError
-            If the cloud is none, or has nothing that could be segmented.
+            If the cloud is invalid, or has no segments.
         """
         more = {} if sensor_height is None else {"sensor_height": sensor_height}
         built: SegmentMap = from_above("map.from_cloud", "build_from_cloud")(
@@ -142,14 +142,14 @@ class SegmentMap(SegmentTable):
         )
         return built
 
-    # --- what it holds -------------------------------------------------------------------------
+    # --- contents ------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self.cloud)} points)"
 
     @property
     def cloud(self) -> Float32:
-        """Thinned points, (N, 3) float32, relative to ``origin``."""
+        """Thinned points (N, 3) float32, relative to ``origin``."""
         return self._cloud.points
 
     @property
@@ -162,7 +162,7 @@ class SegmentMap(SegmentTable):
 
     @property
     def trajectory(self) -> Float64:
-        """Poses T_map_sensor along which the map was recorded, (V, 4, 4) float64."""
+        """Poses T_map_sensor of the recording, (V, 4, 4) float64."""
         return joined(self._trajectory)
 
     @property
@@ -180,7 +180,7 @@ class SegmentMap(SegmentTable):
         return sum(array.nbytes for array in self._arrays().values())
 
     def info(self) -> dict[str, Any]:
-        """What the map holds, in values that JSON can hold."""
+        """Return facts about the map as JSON values."""
         centroids = self.centroids
         extent = np.ptp(centroids, axis=0).tolist() if len(self) else [0.0, 0.0, 0.0]
         return {
@@ -199,7 +199,7 @@ class SegmentMap(SegmentTable):
             "metadata": dict(self.metadata),
         }
 
-    # --- changing it ---------------------------------------------------------------------------
+    # --- changes -------------------------------------------------------------------------------
 
     def add(
         self,
@@ -211,33 +211,33 @@ class SegmentMap(SegmentTable):
         stamp: float,
         cloud: ArrayLike,
     ) -> None:
-        """Add one view.
+        """Add the segments of one view.
 
         Parameters
         ----------
         descriptors : Descriptors
             Of P segments.
         centroids : (P, 3) float64
-            Map frame.
+            In the map frame.
         sizes : (P,) int
-            Points in each segment.
+            Number of points of each segment.
         session : int
-            Which traversal the view belongs to.
+            Number of the traversal.
         stamp : float
         cloud : (N, 3) float32 or float64
-            Points of the view to verify poses against, map frame.
+            Points of the view to verify poses against, in the map frame.
 
         Raises
         ------
         SeglocError
-            If a shape does not fit or a value is not finite; the map is then unchanged.
+            If a shape is wrong or a value is not finite; the map is then unchanged.
         """
         columns = self._rows_of(descriptors, centroids, sizes, session, stamp)
         self._cloud.add(np.asarray(cloud))
         self._append(columns)
 
     def add_cloud(self, points: ArrayLike) -> None:
-        """Add (N, 3) float points to verify poses against, map frame.
+        """Add (N, 3) points to verify poses against, in the map frame.
 
         Raises
         ------
@@ -247,9 +247,9 @@ class SegmentMap(SegmentTable):
         self._cloud.add(np.asarray(points))
 
     def add_trajectory(self, poses: ArrayLike) -> None:
-        """Add the path of the sensor: (V, 4, 4) poses T_map_sensor.
+        """Add (V, 4, 4) poses T_map_sensor to the trajectory.
 
-        It tells which places the map covers, and it is drawn in pictures.
+        The trajectory defines the coverage of the map and is drawn in pictures.
 
         Raises
         ------
@@ -264,25 +264,25 @@ class SegmentMap(SegmentTable):
         self._trajectory.append(array.astype(np.float64))
 
     def merge(self, other: SegmentMap) -> SegmentMap:
-        """A new map of everything that either map holds.
+        """Return a new map with the contents of both maps.
 
-        A segment or view that is the same in both, to the last bit, is kept once: merging a map
-        with itself, or twice with the same map, changes nothing. A session of ``other`` that
-        shares a segment with a session of this map gets that session's number, others get new
-        numbers. Except for those numbers and for order, ``a.merge(b)`` equals ``b.merge(a)``.
+        Segments and views equal to the last bit are kept once, so merging is idempotent. A session
+        of ``other`` that shares a segment with a session of this map gets that session's number,
+        others get new numbers. Except for those numbers and for order, ``a.merge(b)`` equals
+        ``b.merge(a)``.
 
         Raises
         ------
         MapMismatch
-            If the maps were made by different descriptors.
+            If the maps have different descriptors.
         """
         if (self.descriptor, self.fingerprint) != (other.descriptor, other.fingerprint):
             raise MapMismatch(
-                f"maps made by {self.descriptor!r} ({self.fingerprint}) and "
+                f"maps of descriptors {self.descriptor!r} ({self.fingerprint}) and "
                 f"{other.descriptor!r} ({other.fingerprint}) cannot be merged"
             )
         if len(self) and len(other) and (self.quality is None) != (other.quality is None):
-            raise MapMismatch("one map has descriptor quality and the other has none")
+            raise MapMismatch("only one of the maps has descriptor quality")
         return SegmentMap(
             self.descriptor,
             self.fingerprint,
@@ -293,10 +293,10 @@ class SegmentMap(SegmentTable):
         )
 
     def crop(self, center_xy: ArrayLike, radius: float) -> SegmentMap:
-        """A new map of what lies within a horizontal distance of a point of the map frame."""
+        """Return a new map of the contents within a horizontal distance of a point [m]."""
         center = checked(center_xy, "center_xy", (2,), np.float64)
         if not radius >= 0:
-            raise SeglocError(f"radius must not be negative, not {radius}")
+            raise SeglocError(f"radius must be at least 0, not {radius}")
 
         def inside(xy: Float64) -> NDArray[np.bool_]:
             distances: Float64 = np.hypot(*(xy - center).T)
@@ -310,37 +310,37 @@ class SegmentMap(SegmentTable):
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
     ) -> SegmentMap:
-        """A new map of some of the segments and points, along the same path.
+        """Return a new map of some segments and points, with the same trajectory.
 
         Parameters
         ----------
         rows : (P,) bool
-            The segments to keep.
+            Segments to keep.
         points : (N,) bool
-            The points of the cloud to keep.
+            Points of the cloud to keep.
         missed : (P,) int, optional
-            What takes the place of the column of that name.
+            New values of the column ``missed``.
 
         Raises
         ------
         SeglocError
-            If a shape does not fit.
+            If a shape is wrong.
         """
         segments = self.columns()
         if missed is not None:
             segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
         masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
         if masks[0].shape != (len(self),) or masks[1].shape != (len(self.cloud),):
-            raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not fit")
+            raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not match")
         return self._part(segments, *masks, self.trajectory)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map from above: its points, and the path of the sensor.
+        """Draw the map from above: its points and the trajectory.
 
         Parameters
         ----------
         axes : matplotlib Axes, optional
-            By default those of a new figure.
+            By default of a new figure.
 
         Raises
         ------
@@ -350,15 +350,15 @@ class SegmentMap(SegmentTable):
         drawn: Axes = from_above("inspect.plots", "plot_map")(self, axes)
         return drawn
 
-    # --- on disk -------------------------------------------------------------------------------
+    # --- files ---------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one ``.segmap`` file, whole or not at all.
+        """Write the map to a ``.segmap`` file atomically.
 
         Raises
         ------
         SeglocError
-            If the file cannot be written; an older file of that name is then as it was.
+            If the file cannot be written; an existing file is then unchanged.
         """
         contents = mapfile.Contents(
             self._arrays(), self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
@@ -372,7 +372,7 @@ class SegmentMap(SegmentTable):
         Raises
         ------
         MapFormatError
-            If there is no such file, or it is truncated, corrupt, newer, or no map.
+            If the file is missing, truncated, corrupt, of a newer version, or no map.
         """
         file = mapfile.read(path)
         return cls(
@@ -384,7 +384,7 @@ class SegmentMap(SegmentTable):
             file.metadata,
         )
 
-    # --- inside --------------------------------------------------------------------------------
+    # --- internal ------------------------------------------------------------------------------
 
     def _part(
         self, segments: dict[str, Array], rows: Array, points: Array, trajectory: Float64
@@ -400,43 +400,43 @@ class SegmentMap(SegmentTable):
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self.columns()
-        if not arrays["missed"].any():  # nothing to tell: as in files older than the column
+        if not arrays["missed"].any():  # as in files older than the column
             del arrays["missed"]
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
         return arrays
 
 
 def along(prior_map: SegmentMap, path: Float64) -> SegmentMap:
-    """The same map with another path of (V, 4, 4) poses."""
+    """Return the map with another trajectory of (V, 4, 4) poses."""
     cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
     named = prior_map.descriptor, prior_map.fingerprint
     return SegmentMap(*named, prior_map.columns(), cloud, path, prior_map.metadata)
 
 
 def concatenated(parts: list[SegmentMap], *, apart: bool = False) -> SegmentMap:
-    """Maps of one frame, one behind the other; rows of several are kept as often.
+    """Concatenate maps of one frame; rows in several maps are repeated.
 
-    With ``apart`` no voxel is in two of them, as is known of parts of one map: their points are not
-    compared, which takes most of the time and memory, where they are relative to one origin.
+    apart: True if no voxel is in two of them, as in parts of one map. Points of one origin are then
+      not compared, which saves most of the time and memory.
 
     Raises
     ------
     MapMismatch
-        If they were made by different descriptors, or their clouds lie on different grids.
+        If they have different descriptors, or their clouds have different voxel sizes.
     """
     first = parts[0]
     for part in parts[1:]:
         if (part.descriptor, part.fingerprint) != (first.descriptor, first.fingerprint):
             raise MapMismatch(
-                f"parts made by {first.descriptor!r} ({first.fingerprint}) and "
-                f"{part.descriptor!r} ({part.fingerprint}) are of no one map"
+                f"parts of descriptors {first.descriptor!r} ({first.fingerprint}) and "
+                f"{part.descriptor!r} ({part.fingerprint}) do not form one map"
             )
         if part.cloud_voxel != first.cloud_voxel:
-            raise MapMismatch("the clouds of the parts have voxels of different sizes")
+            raise MapMismatch("the clouds of the parts have different voxel sizes")
     filled = [part for part in parts if len(part)] or [first]
     columns = [part.columns() for part in filled]
     if any(each.keys() != columns[0].keys() for each in columns):
-        raise MapMismatch("some parts have descriptor quality and some have none")
+        raise MapMismatch("only some of the parts have descriptor quality")
     texts = dict(first.metadata)
     for part in parts[1:]:
         texts = union_of_texts(texts, part.metadata)
@@ -463,7 +463,7 @@ def _clouds(parts: list[SegmentMap], apart: bool) -> VoxelCloud:
 
 
 def with_sessions(prior_map: SegmentMap, session: NDArray[np.int32]) -> SegmentMap:
-    """The same map with other numbers of sessions, (P,)."""
+    """Return the map with other session numbers, (P,)."""
     cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
     columns = {**prior_map.columns(), "session": session}
     named = prior_map.descriptor, prior_map.fingerprint

@@ -1,4 +1,4 @@
-"""The segments of a map as columns: checked on the way in, joined when needed."""
+"""Segments of a map as checked columns, joined on access."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ SEGMENT_DTYPES: dict[str, Any] = {
 
 
 def joined(parts: list[Array]) -> Array:
-    """The parts as one array, which takes their place in the list."""
+    """Join the parts into one array, which replaces them in the list."""
     if len(parts) > 1:
         parts[:] = [np.concatenate(parts)]
     return parts[0]
 
 
 def row_shape(name: str, count: int, dim: int) -> tuple[int, ...]:
-    """The shape of a column of ``count`` segments."""
+    """Return the shape of a column of ``count`` segments."""
     return {"vectors": (count, dim), "centroids": (count, 3)}.get(name, (count,))
 
 
 def checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
-    """A copy of ``values`` in that dtype.
+    """Return a copy of ``values`` in that dtype.
 
     Raises
     ------
     SeglocError
-        If the shape or the kind of dtype is wrong, or a value is not finite or does not fit.
+        If the shape or kind of dtype is wrong, or a value is not finite or out of range.
     """
     array = np.asarray(values)
     if array.shape != shape:
@@ -53,12 +53,12 @@ def checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) ->
     if array.size and array.dtype.kind not in ("iu" if whole else "iuf"):
         raise SeglocError(f"{name} cannot have dtype {array.dtype}")
     if not np.isfinite(array).all() or (whole and (np.abs(array) > np.iinfo(dtype).max).any()):
-        raise SeglocError(f"{name} has values that are out of range")
+        raise SeglocError(f"{name} has values out of range")
     return np.array(array, dtype=dtype)
 
 
 def no_segments(dim: int) -> dict[str, Array]:
-    """The columns of no segment, by a descriptor that may or may not tell quality."""
+    """Return empty columns."""
     return {
         name: np.empty(row_shape(name, 0, dim), dtype)
         for name, dtype in SEGMENT_DTYPES.items()
@@ -67,12 +67,12 @@ def no_segments(dim: int) -> dict[str, Array]:
 
 
 class SegmentTable:
-    """Described segments, one row each.
+    """Described segments, one per row.
 
     Parameters
     ----------
     columns : dict of str to array
-        Those of ``SEGMENT_DTYPES``, all of one length; "quality" and "missed" can be left out.
+        Columns of ``SEGMENT_DTYPES`` of equal length; "quality" and "missed" are optional.
 
     Attributes
     ----------
@@ -82,8 +82,8 @@ class SegmentTable:
 
     def __init__(self, columns: Mapping[str, Array]) -> None:
         self.dim = int(columns["vectors"].shape[1])
-        # Rows are gathered in lists and joined when they are asked for. A table without segments
-        # does not know yet whether its descriptor tells quality.
+        # Rows are gathered in lists and joined on access. Whether there is a quality is unknown
+        # until the first segments are added.
         self._columns = {
             name: [array] for name, array in columns.items() if name != "quality" or len(array)
         }
@@ -99,7 +99,7 @@ class SegmentTable:
 
     @property
     def quality(self) -> Float32 | None:
-        """How much each descriptor can be trusted, (P,) float32, or None if it does not say."""
+        """Probability that a descriptor's nearest neighbour is right, (P,) float32, or None."""
         return self._column("quality") if "quality" in self._columns else None
 
     @property
@@ -114,17 +114,17 @@ class SegmentTable:
 
     @property
     def session(self) -> Int32:
-        """The traversal that saw each segment, (P,) int32."""
+        """Session number of each segment, (P,) int32."""
         return self._column("session")
 
     @property
     def stamps(self) -> Float64:
-        """Stamp of the view that each segment comes from, (P,) float64."""
+        """Stamp of the view of each segment, (P,) float64."""
         return self._column("stamps")
 
     @property
     def missed(self) -> Int32:
-        """How many sessions in a row looked where each segment was and saw nothing, (P,) int32."""
+        """Number of consecutive sessions that looked through each segment, (P,) int32."""
         return self._column("missed")
 
     def _column(self, name: str) -> Array:
@@ -142,7 +142,7 @@ class SegmentTable:
         session: int,
         stamp: float,
     ) -> dict[str, Array]:
-        """The checked columns of a view; see `SegmentMap.add`."""
+        """Return the checked columns of a view; see `SegmentMap.add`."""
         count = len(descriptors)
         values: dict[str, ArrayLike | None] = {
             "vectors": descriptors.vectors,
@@ -162,7 +162,7 @@ class SegmentTable:
             if fault := column_fault(name, column):
                 raise SeglocError(fault)
         if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
-            raise MapMismatch("either all views of a map have descriptor quality or none")
+            raise MapMismatch("descriptor quality must be given for all views of a map or for none")
         return columns
 
     def _append(self, columns: Mapping[str, Array]) -> None:

@@ -1,4 +1,4 @@
-"""A later session of a place -> its map brought up to date."""
+"""Update a map with a later session of the same place."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Bools = NDArray[np.bool_]
 Int32 = NDArray[np.int32]
 
 TO_THE_FRAME = "`map update --align` (segloc.align_to_map) brings poses into the map's frame"
-_POINT_AREA_M2 = 0.04  # that a point of a segment stands for: voxels of 0.2 m
+_POINT_AREA_M2 = 0.04  # surface per point of a segment: voxels of 0.2 m
 _RADII_M = (0.5, 2.5)
-_LEAST_POINTS = 4
+_MIN_POINTS = 4
 
 
 class UpdateConfig(Section):
-    """How long a map remembers what is no longer there, and how large it may grow."""
+    """How long a map keeps objects that are gone, and its maximum size."""
 
     max_missed: int = Field(
         2, ge=1, description="sessions in a row that must pass through an object to remove it"
@@ -39,17 +39,17 @@ class UpdateConfig(Section):
         0.6, gt=0, le=1, description="share of an object's points in view that must be gone"
     )
     max_gone: float = Field(
-        0.25, gt=0, le=1, description="a larger share of the map in view is not believed to be gone"
+        0.25, gt=0, le=1, description="share of the visible map above which removal is refused"
     )
     max_views: int = Field(0, ge=0, description="newest views kept of an object; 0: all")
-    same_m: float = Field(0.5, gt=0, description="centroids of one object lie this close")
-    max_segments: int = Field(0, ge=0, description="segments the map may hold; 0: any number")
+    same_m: float = Field(0.5, gt=0, description="distance between centroids of one object, metres")
+    max_segments: int = Field(0, ge=0, description="maximum number of segments; 0: unlimited")
     visibility: VisibilityConfig = VisibilityConfig()
 
 
 @dataclass(frozen=True)
 class UpdateCounts:
-    """What an update did.
+    """Counts of an update.
 
     Attributes
     ----------
@@ -57,11 +57,11 @@ class UpdateCounts:
         Segments of the new session.
     seen, aged, removed, out_of_view : int
         Segments of the old map: still there; missing, but not for long enough; removed; not
-        judged.
+        in view.
     bounded : int
         Segments dropped to keep the size bounded.
     points_removed : int
-        Of the cloud.
+        Points removed from the cloud.
     """
 
     added: int
@@ -84,9 +84,9 @@ def update_map(
 ) -> tuple[SegmentMap, UpdateCounts]:
     """Add a session to a map, and remove objects that are gone.
 
-    An object is missed if rays of the session pass through it and none ends on it; missed by
-    ``max_missed`` sessions in a row, it is removed with its points. An object that is visible
-    again is not missed; one that is hidden stays as it is. Points of no object are removed at once.
+    An object is missed if rays of the session pass through it and none ends on it. After
+    ``max_missed`` sessions in a row it is removed with its points; seeing it resets the count, and
+    occlusion leaves it unchanged. Points outside objects are removed at once.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def update_map(
         Configuration of the session; by default the map's.
     update : UpdateConfig, optional
     progress : callable, optional
-        Called with (scans done, scans in all) while visibility is computed.
+        Called with (scans done, total) while visibility is computed.
     elsewhere : bool
         True to allow a session of another place in the map's frame; see
         :func:`~segloc.map.same_place.check_same_place`.
@@ -109,31 +109,31 @@ def update_map(
     Raises
     ------
     DatasetError
-        If the recording has no poses, or nothing that could be segmented.
+        If the recording has no poses or no segments.
     MapMismatch
         If the map has another descriptor, the session does not meet the map, or their clouds
         disagree.
     SeglocError
-        If too much of the visible map is gone: the poses are not in its frame.
+        If too much of the visible map is gone, so that the poses are probably in another frame.
     """
     update, recording = update or UpdateConfig(), as_recording(scans)
-    judged = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
-    _check_frame(judged, recording.name, update.max_gone)
-    gone, seen = _judged_segments(prior_map, judged, update.gone_share)
+    visible = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
+    _check_frame(visible, recording.name, update.max_gone)
+    gone, seen = _classify_segments(prior_map, visible, update.gone_share)
     missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
         np.int32
     )
     built = config or stored_config(prior_map, BuildConfig)
     fresh = build_map(recording, built, adapt=False)
     if config is None and (text := stored_text(prior_map)):
-        fresh.metadata["config"] = text  # one text, not a part of it beside the whole
+        fresh.metadata["config"] = text  # keep one text, not a part beside the whole
     try:
         check_same_place(prior_map, fresh, elsewhere=elsewhere)
     except MapMismatch as error:
         raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
     stay = missed < update.max_missed
     waiting = stay & gone
-    points = ~judged.gone | _within_segments(prior_map, waiting)
+    points = ~visible.gone | _within_segments(prior_map, waiting)
     old = prior_map.kept(stay, points, missed)
     merged = old.merge(fresh)
     keep = _newest_views(merged, update)
@@ -150,41 +150,41 @@ def update_map(
     )
 
 
-def _check_frame(judged: Visibility, name: str, max_gone: float) -> None:
-    gone, seen = int(judged.gone.sum()), int(judged.seen.sum())
+def _check_frame(visible: Visibility, name: str, max_gone: float) -> None:
+    gone, seen = int(visible.gone.sum()), int(visible.seen.sum())
     if gone > max_gone * (gone + seen):
         share = 100 * gone / (gone + seen)
         raise SeglocError(
-            f"{name}: {share:.0f} % of the map in view is not there: "
-            f"are its poses in the frame of the map? {TO_THE_FRAME}"
+            f"{name}: {share:.0f} % of the visible map is gone: are its poses in the map's frame? "
+            f"{TO_THE_FRAME}"
         )
 
 
 def _radii(prior_map: SegmentMap) -> Float64:
-    """About how far each segment reaches from its centroid: as a sphere with its surface would."""
+    """Return each segment's radius, as of a sphere with its surface area."""
     reach = 0.2 + 1.3 * np.sqrt(prior_map.sizes * _POINT_AREA_M2 / (4 * np.pi))
     radii: Float64 = np.clip(reach, *_RADII_M)
     return radii
 
 
-def _judged_segments(
-    prior_map: SegmentMap, judged: Visibility, gone_share: float
+def _classify_segments(
+    prior_map: SegmentMap, visible: Visibility, gone_share: float
 ) -> tuple[Bools, Bools]:
-    """Which segments are gone and which were seen; neither where too little was in view."""
-    rows = np.flatnonzero(judged.gone | judged.seen)
+    """Return which segments are gone and which were seen; neither if too little was in view."""
+    rows = np.flatnonzero(visible.gone | visible.seen)
     if not len(rows) or not len(prior_map):
         return np.zeros(len(prior_map), dtype=bool), np.zeros(len(prior_map), dtype=bool)
     tree = cKDTree(prior_map.cloud[rows] + prior_map.origin)
     members = tree.query_ball_point(prior_map.centroids, _radii(prior_map))
     counts = np.array([len(each) for each in members])
-    lost = np.array([np.count_nonzero(judged.gone[rows[each]]) for each in members])
-    in_view = counts >= _LEAST_POINTS
+    lost = np.array([np.count_nonzero(visible.gone[rows[each]]) for each in members])
+    in_view = counts >= _MIN_POINTS
     gone = in_view & (lost >= gone_share * counts)
     return gone, in_view & ~gone
 
 
 def _within_segments(prior_map: SegmentMap, chosen: Bools) -> Bools:
-    """Which points of the cloud belong to one of the chosen segments."""
+    """Return which points of the cloud belong to chosen segments."""
     inside = np.zeros(len(prior_map.cloud), dtype=bool)
     if chosen.any():
         tree = cKDTree(prior_map.cloud + prior_map.origin)
@@ -196,7 +196,7 @@ def _within_segments(prior_map: SegmentMap, chosen: Bools) -> Bools:
 
 
 def _newest_views(prior_map: SegmentMap, update: UpdateConfig) -> Bools:
-    """Which segments stay when objects may have so many views, and the map so many segments."""
+    """Return which segments stay within the limits of views per object and of segments."""
     keep = np.ones(len(prior_map), dtype=bool)
     newest = np.lexsort((prior_map.stamps, prior_map.session, -prior_map.missed))[::-1]
     if update.max_views:

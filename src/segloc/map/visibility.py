@@ -1,6 +1,6 @@
-"""Which points of a map violate the free space of a later session, and which it saw again.
+"""Find map points in the free space of a later session, and those it saw again.
 
-A point violates free space where the sensor measured something well behind it, in the point's
+A point violates free space if the sensor measured something well behind it, in the point's
 direction and in all directions about it. G. Kim, A. Kim, "Remove, then Revert: Static Point Cloud
 Map Construction using Multiresolution Range Images", IROS 2020, compares range images in the same
 way.
@@ -25,26 +25,26 @@ from .voxel_cloud import VoxelCloud
 
 
 class VisibilityConfig(Section):
-    """When a place counts as a free-space violation."""
+    """Criteria of free-space violations."""
 
-    every_m: float = Field(1.0, gt=0, description="travel between the scans that are looked at")
-    range_m: float = Field(30.0, gt=0, description="rays are judged up to here")
+    every_m: float = Field(1.0, gt=0, description="travel between the scans used, metres")
+    range_m: float = Field(30.0, gt=0, description="maximum range of the rays used, metres")
     bin_deg: float = Field(1.0, gt=0, le=10, description="width of a pixel of the range images")
-    margin_m: float = Field(0.7, gt=0, description="what lies this far behind a point is behind it")
-    near_m: float = Field(0.4, gt=0, description="a point this near is the same place seen again")
-    min_passes: int = Field(3, ge=1, description="scans that must pass through a place")
+    margin_m: float = Field(0.7, gt=0, description="minimum distance behind a point, metres")
+    near_m: float = Field(0.4, gt=0, description="maximum distance of a point seen again, metres")
+    min_passes: int = Field(3, ge=1, description="scans that must look through a point")
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """What a session says of N points.
+    """Visibility of N points in a session.
 
     Attributes
     ----------
     gone : (N,) bool
-        Passed through several times, and nothing seen there.
+        Looked through in several scans, and not seen again.
     seen : (N,) bool
-        Something is there still. What is neither was not in view.
+        Seen again. Points that are neither were not in view.
     """
 
     gone: NDArray[np.bool_]
@@ -58,16 +58,16 @@ def visibility(
     config: VisibilityConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Visibility:
-    """Judge the points of a map by a later session.
+    """Classify the points of a map by a later session.
 
     Parameters
     ----------
     points : (N, 3) float32
         Relative to ``origin``.
     origin : (3,) float64
-        Map frame.
+        In the map frame.
     recording : Recording
-        Its poses are T_map_sensor.
+        With poses T_map_sensor.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def visibility(
     poses = recording.poses
     if poses is None or not len(poses):
         raise DatasetError(
-            f"{recording.name}: needs a pose in the map for every scan: see segloc.align_to_map"
+            f"{recording.name}: every scan needs a pose in the map frame: see segloc.align_to_map"
         )
     travelled = geometry.travelled(poses)
     chosen = geometry.stations(travelled, config.every_m)
@@ -107,7 +107,7 @@ def _near(points: Float32, others: Float32, radius: float) -> NDArray[np.bool_]:
 def _free_space_violations(
     points: Float32, T_map_sensor: Pose, scan: Float32, config: VisibilityConfig
 ) -> Int64:
-    """Rows of the points that violate free space in one scan."""
+    """Return the rows of points that violate free space in one scan."""
     offsets = points - T_map_sensor[:3, 3].astype(np.float32)
     near = np.flatnonzero((offsets**2).sum(axis=1) < config.range_m**2)
     local = (offsets[near].astype(np.float64)) @ T_map_sensor[:3, :3]
@@ -118,7 +118,7 @@ def _free_space_violations(
 
 
 def _range_images(scan: Float32, bin_deg: float) -> tuple[Float64, Float64]:
-    """The nearest range in each pixel, infinite where none was measured, and about each pixel."""
+    """Return the minimum range in each pixel, infinite if empty, and in its neighbourhood."""
     shape = round(360 / bin_deg) + 1, round(180 / bin_deg) + 1
     measured = np.full(shape, np.inf)
     pixels, ranges = _pixels(scan.astype(np.float64), bin_deg)
@@ -127,7 +127,7 @@ def _range_images(scan: Float32, bin_deg: float) -> tuple[Float64, Float64]:
 
 
 def _pixels(points: Float64, bin_deg: float) -> tuple[tuple[Int64, Int64], Float64]:
-    """Column and row of each point in a range image, and its range."""
+    """Return column and row of each point in a range image, and its range."""
     x, y, z = points.T
     ranges = np.sqrt(x * x + y * y + z * z)
     azimuth = np.degrees(np.arctan2(y, x)) + 180.0

@@ -1,4 +1,4 @@
-"""A point cloud that keeps one point a voxel, cheap to add to many times."""
+"""Point cloud with one point per voxel, cheap to extend repeatedly."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ _MIN_PENDING = 1 << 18
 
 
 class VoxelCloud:
-    """Points relative to an origin, thinned to the one nearest to the centre of each voxel.
+    """Points relative to an origin, thinned to the one closest to the centre of each voxel.
 
-    The choice depends only on the set of points, so the order of adding does not matter, adding
-    the same points again changes nothing, and every point kept is a measured one. The grid is
-    fixed in the map frame, not at the origin, so clouds with different origins can be merged.
+    The result depends only on the set of points: order and repetition do not matter, and every
+    point kept was measured. The grid is fixed in the map frame, not at the origin, so clouds of
+    different origins can be merged.
 
     Parameters
     ----------
     points : (N, 3) float32
-        Relative to ``origin``; thinned if need be.
+        Relative to ``origin``; thinned if necessary.
     origin : (3,) float64
-        Map frame.
+        In the map frame.
     voxel : float
-        Edge length, metres.
+        Edge length [m].
     """
 
     def __init__(self, points: Float32, origin: Float64, voxel: float) -> None:
@@ -38,7 +38,7 @@ class VoxelCloud:
         self._pending_count = 0
 
     def add(self, points: NDArray[np.floating]) -> None:
-        """Add (N, 3) points in the map frame. Amortised: thinning waits until it is worth it.
+        """Add (N, 3) points in the map frame; thinning is deferred until it pays.
 
         Raises
         ------
@@ -50,11 +50,11 @@ class VoxelCloud:
             raise SeglocError(
                 f"cloud must be (N, 3) floating point, not {points.shape} {points.dtype}"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite values are rejected
             self.add_relative((points - self.origin).astype(np.float32))
 
     def add_relative(self, points: Float32) -> None:
-        """Add (N, 3) points that are relative to the origin."""
+        """Add (N, 3) points relative to the origin."""
         if fault := relative_fault(points):
             raise SeglocError(fault)
         self._pending.append(points)
@@ -64,12 +64,12 @@ class VoxelCloud:
 
     @property
     def points(self) -> Float32:
-        """The (N, 3) float32 points relative to the origin, in the order of their voxels."""
+        """The (N, 3) float32 points relative to the origin, ordered by voxel."""
         self._consolidate()
         return self._thinned
 
     def moved_to(self, origin: Float64, voxel: float) -> VoxelCloud:
-        """The same points relative to another origin, on another grid."""
+        """Return the points relative to another origin, on another grid."""
         if voxel == self.voxel and np.array_equal(origin, self.origin):
             return VoxelCloud(self.points, origin, voxel)
         moved = VoxelCloud(np.empty((0, 3), np.float32), origin, voxel)
@@ -84,16 +84,16 @@ class VoxelCloud:
 
 
 def thin(points: Float32, origin: Float64, voxel: float) -> Float32:
-    """The point nearest to each voxel's centre, sorted by voxel.
+    """Return the point closest to each voxel's centre, sorted by voxel.
 
     Parameters
     ----------
     points : (N, 3) float32
         Relative to ``origin``.
     origin : (3,) float64
-        The grid's voxels are ``floor((origin + point) / voxel)``.
+        Voxels are ``floor((origin + point) / voxel)``.
     voxel : float
-        Edge length, metres.
+        Edge length [m].
 
     Raises
     ------
@@ -112,7 +112,7 @@ def thin(points: Float32, origin: Float64, voxel: float) -> Float32:
     groups = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(keys)))
     nearest = distances == np.minimum.reduceat(distances, starts)[groups]
     candidates, groups = order[nearest], groups[nearest]
-    if len(candidates) > len(starts):  # equal distances: the smallest coordinates win
+    if len(candidates) > len(starts):  # ties: the smallest coordinates win
         x, y, z = points[candidates].T
         ranked = np.lexsort((z, y, x, groups))
         first = np.diff(groups[ranked], prepend=-1) > 0

@@ -1,4 +1,4 @@
-"""Files, processes, clocks and settings; and how packages offer names without loading them."""
+"""Files, locks, processes, clocks and settings; lazy imports of packages."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from collections.abc import Callable, Mapping
 def lazy(
     package: str, names: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return ``__getattr__`` and ``__dir__`` of a package that imports names at first use.
+    """Return ``__getattr__`` and ``__dir__`` of a package that imports names on first use.
 
     Parameters
     ----------
     package : str
     names : dict of str to str
-        Names, parted by spaces, by the submodule that defines them. The package imports the same
-        names under ``if TYPE_CHECKING:``.
+        Names, separated by spaces, by the submodule that defines them. The package imports the
+        same names under ``if TYPE_CHECKING:``.
     """
     homes = {name: f"{package}.{module}" for module in names for name in names[module].split()}
 

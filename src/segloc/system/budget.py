@@ -1,7 +1,7 @@
-"""How much one input may hold. A few kilobytes can claim, or unpack to, more than any machine has.
+"""Limits on the size of one input: a few kilobytes can declare, or unpack to, any size.
 
-Counts are checked before anything is allocated for them. The limit comes from the environment, so
-that it holds in worker processes, too.
+Counts are checked before allocation. The limit is an environment variable, so that it applies to
+worker processes, too.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import os
 from ..errors import ConfigError, DatasetError
 
 OPTION = "SEGLOC_MAX_POINTS"
-"""The environment variable that moves all of the limits."""
+"""Environment variable that sets all of the limits."""
 MOST_POINTS = 20_000_000
-"""Of a scan: 40 times what the densest sensors measure in a turn."""
+"""Of a scan: 40 times a turn of the densest sensors."""
 BYTES_A_POINT = 50
-"""More than any format takes for one, as text or with all its fields."""
+"""More than a point takes in any format, as text or with all its fields."""
 _MESSAGE_SHARE = 4
 
 
 def most_points() -> int:
-    """The most points of a scan, and rows of a table.
+    """Return the maximum number of points of a scan, and of rows of a table.
 
     Raises
     ------
@@ -36,17 +36,17 @@ def most_points() -> int:
 
 
 def most_bytes() -> int:
-    """The most bytes of a scan, as a file and unpacked."""
+    """Return the maximum size of a scan, as a file and unpacked [bytes]."""
     return BYTES_A_POINT * most_points()
 
 
 def most_message_bytes() -> int:
-    """The most bytes of a message or chunk of a bag, unpacked."""
+    """Return the maximum size of a message or chunk of a bag, unpacked [bytes]."""
     return most_bytes() // _MESSAGE_SHARE
 
 
 def check_points(count: int, what: str = "points") -> None:
-    """Refuse more points, or rows, than a scan may have.
+    """Reject more points, or rows, than a scan may have.
 
     Raises
     ------
@@ -54,12 +54,12 @@ def check_points(count: int, what: str = "points") -> None:
     """
     if count > (limit := most_points()):
         raise DatasetError(
-            f"{_figure(count)} {what}: more than {limit}; set {OPTION} higher to read them"
+            f"{_figure(count)} {what}: more than {limit}; increase {OPTION} to read them"
         )
 
 
 def check_bytes(count: int, what: str, limit: int | None = None) -> None:
-    """Refuse more bytes than a scan may have, or than ``limit``.
+    """Reject more bytes than a scan may have, or than ``limit``.
 
     Raises
     ------
@@ -67,8 +67,8 @@ def check_bytes(count: int, what: str, limit: int | None = None) -> None:
     """
     if count > (limit := most_bytes() if limit is None else limit):
         raise DatasetError(
-            f"{what} of {_figure(count)} bytes: more than {limit}; set {OPTION} (now "
-            f"{most_points()}) higher to read it"
+            f"{what} of {_figure(count)} bytes: more than {limit}; increase {OPTION} (now "
+            f"{most_points()}) to read it"
         )
 
 

@@ -1,4 +1,4 @@
-"""What arrays must be before anything is done with them; each fault is named in one line."""
+"""Validation of arrays; every fault is named in one line."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Pose = NDArray[np.float64]
 """A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
 
 MOST_METRES = 1e8
-"""Largest coordinate in any frame [m]. UTM and ECEF coordinates are below 1e7 m, ranges written in
-millimetres by mistake below 1e7, and a float64 still tells 1e-8 m apart. Poses beyond it are
-refused; points of a scan are dropped and counted."""
+"""Maximum coordinate in any frame [m]. UTM and ECEF coordinates are below 1e7 m, ranges in
+millimetres by mistake are too, and float64 resolves 1e-8 m. Poses beyond it are rejected; points of
+a scan are dropped and counted."""
 
 MOST_LOCAL_METRES = 1e5
-"""A local cloud's points lie around the sensor: farther ones are in another frame or unit."""
+"""Maximum coordinate of a local cloud [m]; farther points are in another frame or unit."""
 
 ROTATION_TOLERANCE = 1e-3
-"""Of the entries of R R^T, from those of the identity."""
+"""Maximum deviation of the entries of R R^T from the identity."""
 
 _WIDEST_ROW = 64  # (3, N) instead of (N, 3)
 
@@ -43,7 +43,7 @@ def _number(value: float, name: str, unit: str) -> float:
 
 
 def checked_points(points: ArrayLike) -> Float32:
-    """The x, y, z of ``points`` as (N, 3) float32, C-contiguous; values may be infinite or NaN.
+    """Return x, y, z of ``points`` as (N, 3) float32, C-contiguous; may be infinite or NaN.
 
     Raises
     ------
@@ -59,17 +59,17 @@ def checked_points(points: ArrayLike) -> Float32:
         raise InvalidScan(
             f"points must be floating point and in metres, not {array.dtype}: convert them"
         )
-    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32 becomes inf
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32: inf
         return np.ascontiguousarray(array[:, :3], dtype=np.float32)
 
 
 def checked_local_points(points: ArrayLike) -> Float32:
-    """As :func:`checked_points`, of a local cloud: finite, and not beyond ``MOST_LOCAL_METRES``.
+    """Check a local cloud like :func:`checked_points`; finite and within ``MOST_LOCAL_METRES``.
 
     Raises
     ------
     InvalidScan
-        If the shape or dtype is wrong; names the first row with such a value.
+        If the shape or dtype is wrong; names the first row with an invalid value.
     """
     array = checked_points(points)
     check_finite(array, "points", MOST_LOCAL_METRES)
@@ -77,12 +77,12 @@ def checked_local_points(points: ArrayLike) -> Float32:
 
 
 def checked_count(count: int, name: str) -> int:
-    """A positive whole number.
+    """Return a positive integer.
 
     Raises
     ------
     InvalidScan
-        If it is none.
+        If it is not one.
     """
     if not isinstance(count, int) or count < 1:
         raise InvalidScan(f"{name} must be a positive whole number, not {count!r}")
@@ -90,12 +90,12 @@ def checked_count(count: int, name: str) -> int:
 
 
 def edge_if_given(edge: float | None, name: str) -> float | None:
-    """The edge of a voxel as a positive number of metres, or None.
+    """Return the edge of a voxel as a positive number of metres, or None.
 
     Raises
     ------
     InvalidScan
-        If it is no positive finite number.
+        If it is not a positive finite number.
     """
     if edge is None:
         return None
@@ -106,7 +106,7 @@ def edge_if_given(edge: float | None, name: str) -> float | None:
 
 
 def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-    """``values`` in a dtype and shape (-1: any), C-contiguous; copied only where needed.
+    """Return ``values`` in a dtype and shape (-1: any), C-contiguous; copied only if necessary.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DT
 
 
 def check_finite(rows: NDArray[Any], name: str, most: float = np.inf) -> None:
-    """Refuse values that are not finite, or beyond ``most``; names the first row with one.
+    """Reject values that are not finite, or beyond ``most``; names the first row with one.
 
     Raises
     ------
@@ -155,12 +155,12 @@ def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
 
 
 def checked_direction(direction: ArrayLike) -> Float64:
-    """A direction of gravity as a unit vector, (3,) float64.
+    """Return a direction of gravity as a unit vector, (3,) float64.
 
     Raises
     ------
     InvalidScan
-        If it is not three finite numbers, or has no length.
+        If it is not three finite numbers, or has length zero.
     """
     try:
         vector: Float64 = np.array(direction, dtype=np.float64)
@@ -170,19 +170,19 @@ def checked_direction(direction: ArrayLike) -> Float64:
         raise InvalidScan(f"gravity must be three finite numbers, not {direction!r:.60}")
     largest = np.abs(vector).max()
     if largest == 0.0:
-        raise InvalidScan("gravity has no length: leave it out where it is not known")
-    vector /= largest  # its squares neither overflow nor vanish
+        raise InvalidScan("gravity has length zero: omit it if unknown")
+    vector /= largest  # squares neither overflow nor vanish
     vector /= np.linalg.norm(vector)
     return vector
 
 
 def checked_angle(degrees: float, name: str) -> float:
-    """An angle from 0 to 180 degrees.
+    """Return an angle from 0 to 180 degrees.
 
     Raises
     ------
     InvalidScan
-        If it is none.
+        If it is out of range.
     """
     value = _number(degrees, name, "degrees")
     if not 0 <= value <= 180:
@@ -191,12 +191,12 @@ def checked_angle(degrees: float, name: str) -> float:
 
 
 def checked_stamp(stamp: float | None) -> float | None:
-    """A stamp as a finite float, or None.
+    """Return a stamp as a finite float, or None.
 
     Raises
     ------
     InvalidScan
-        If it is no finite number.
+        If it is not a finite number.
     """
     if stamp is None:
         return None
@@ -207,12 +207,12 @@ def checked_stamp(stamp: float | None) -> float | None:
 
 
 def checked_pose(pose: ArrayLike, name: str) -> Pose:
-    """A copy of ``pose`` as a (4, 4) float64 rigid transform.
+    """Return a copy of ``pose`` as a (4, 4) float64 rigid transform.
 
     Raises
     ------
     InvalidScan
-        If the shape is wrong, a value is not finite, the rotation is not one (to 1e-3), or the
+        If the shape is wrong, a value is not finite, the rotation is invalid (beyond 1e-3), or the
         position is farther than ``MOST_METRES`` from the origin.
     """
     T: Pose = as_array(pose, name, np.float64).copy()
@@ -232,7 +232,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
 
 
 def _rotation_fault(R: Float64) -> str:
-    """What keeps a (3, 3) matrix from being a rotation, with its figures."""
+    """Return why a (3, 3) matrix is not a rotation."""
     with np.errstate(all="ignore"):
         error, sign = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
     if error <= ROTATION_TOLERANCE:
@@ -241,29 +241,29 @@ def _rotation_fault(R: Float64) -> str:
 
 
 def checked_poses(poses: ArrayLike, count: int, name: str) -> Float64:
-    """A copy of ``poses`` as (count, 4, 4) float64 rigid transforms.
+    """Return a copy of ``poses`` as (count, 4, 4) float64 rigid transforms.
 
     Raises
     ------
     InvalidScan
-        If there are more or fewer, or one is none; names the first that is.
+        If their number differs, or one is invalid; names the first that is.
     """
     array: Float64 = as_array(poses, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise InvalidScan(f"{name} must have shape ({count}, 4, 4), not {array.shape}")
     if len(array) != count:
-        raise InvalidScan(f"{name}: {len(array)} for {count} scans: give one (4, 4) pose a scan")
+        raise InvalidScan(f"{name}: {len(array)} for {count} scans: pass one (4, 4) pose per scan")
     return np.array([checked_pose(T, f"{name}[{i}]") for i, T in enumerate(array)])
 
 
 def pose_if_given(pose: ArrayLike | None, name: str) -> Pose | None:
-    """As :func:`checked_pose`, or None."""
+    """Check like :func:`checked_pose`, or return None."""
     return None if pose is None else checked_pose(pose, name)
 
 
 def are_rotations(R: Float64) -> NDArray[np.bool_]:
-    """Which of (..., 3, 3) matrices are rotations, to ``ROTATION_TOLERANCE``; (...) bool."""
-    with np.errstate(all="ignore"):  # what overflows is none
+    """Return which of (..., 3, 3) matrices are rotations, within ``ROTATION_TOLERANCE``."""
+    with np.errstate(all="ignore"):  # overflow is no rotation
         error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0)
         return np.asarray((error <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
 

@@ -1,15 +1,14 @@
-"""Writing files so that a crash or a full disk never leaves half of one.
+"""Atomic file writing: a crash or full disk never leaves a partial file.
 
-The order, which :func:`replacing` keeps to:
+:func:`replacing` proceeds in this order:
 
-1. a temporary file ``.NAME.PID-RANDOM.tmp`` is made in the same folder and locked;
-2. the bytes are written, and flushed to the disk (fsync of the file);
-3. it is renamed to NAME, which takes the place of the old file at once;
-4. the rename is flushed to the disk (fsync of the folder).
+1. create and lock a temporary file ``.NAME.PID-RANDOM.tmp`` in the same folder;
+2. write the bytes, and flush them to disk (fsync of the file);
+3. rename it to NAME, which replaces the old file atomically;
+4. flush the rename to disk (fsync of the folder).
 
-So NAME is the old file or the whole new one, after a kill at any moment and after a loss of power
-too, and once the save has returned it is the new one. What a killed save leaves is removed by the
-next save of that file.
+So NAME is always the old file or the complete new one, even after a kill or a loss of power; once
+the save has returned it is the new one. The next save of a file removes what a killed save left.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from .locks import locked, process_lives
 
 @contextmanager
 def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
-    """Open a temporary file that takes the place of ``path`` when the block ends well.
+    """Open a temporary file that replaces ``path`` when the block succeeds.
 
-    At any moment ``path`` is either the old file or the whole new one. If the block or the disk
-    fails, the temporary file is removed and ``path`` is as it was.
+    ``path`` is always the old file or the complete new one. If the block or the disk fails, the
+    temporary file is removed and ``path`` is unchanged.
 
     Parameters
     ----------
     path : path
     sweep : bool
-        Whether to look for what killed saves of that file left, which lists the folder: not worth
-        it for each of many files.
+        True to remove what killed saves of that file left. This lists the folder: not worth it for
+        many files.
 
     Raises
     ------
@@ -52,7 +51,7 @@ def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
     temporary = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as stream:
-            locked(stream.fileno())  # until it is closed: says that its writer lives
+            locked(stream.fileno())  # until closed: marks the file as being written
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -67,20 +66,20 @@ def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8 by way of :func:`replacing`."""
+    """Write ``text`` as UTF-8 with :func:`replacing`."""
     with replacing(path) as stream:
         stream.write(text.encode())
 
 
 def checked_target(path: Path) -> Path:
-    """The file that ``path`` stands for, if one can be written there.
+    """Return the file that ``path`` refers to, if it can be written.
 
     Raises
     ------
     SeglocError
         If it is a folder or a device, or its folder does not exist.
     """
-    target = Path(os.path.realpath(path))  # a link keeps pointing to the file
+    target = Path(os.path.realpath(path))  # keep links
     if target.is_dir():
         raise SeglocError(f"{path}: cannot be written: is a directory")
     if target.exists() and not target.is_file():
@@ -92,12 +91,12 @@ def checked_target(path: Path) -> Path:
 
 @contextmanager
 def folder_in(parent: str | Path | None, prefix: str) -> Iterator[Path]:
-    """A folder for a while, in another; by default in the system's for temporary files.
+    """Create a temporary folder in another, by default in the system's; removed at the end.
 
     Raises
     ------
     SeglocError
-        If there is no such other.
+        If the parent does not exist.
     """
     if parent is not None and not Path(parent).is_dir():
         raise SeglocError(f"{parent}: cannot be written: there is no such folder")
@@ -106,10 +105,10 @@ def folder_in(parent: str | Path | None, prefix: str) -> Iterator[Path]:
 
 
 def _remove_stale(target: Path) -> None:
-    """Remove the temporary files of saves of ``target`` that were killed.
+    """Remove the temporary files of killed saves of ``target``.
 
-    Their processes are gone, and so are the locks that these held; on a folder that several
-    machines or containers share the lock alone tells.
+    Their processes, and the locks these held, are gone. On a folder that several machines or
+    containers share, only the lock is reliable.
     """
     pattern = re.compile(re.escape(f".{target.name}.") + r"(\d{1,9})-[0-9a-f]{8}\.tmp")
     with suppress(OSError):

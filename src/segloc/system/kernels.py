@@ -1,4 +1,4 @@
-"""The native kernels that training, peers and benchmarks use, by public names."""
+"""Native kernels for training, peers and benchmarks, by public names."""
 
 from .._native import DescriptorIndex as DescriptorIndex
 from .._native import Network as Network

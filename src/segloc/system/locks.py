@@ -1,4 +1,4 @@
-"""Locks between processes that die with their holder: ``flock``, where the system has it."""
+"""Locks between processes that end with their holder: ``flock``, if the system has it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..errors import SeglocError
 
 try:
     import fcntl
-except ImportError:  # Windows: there are no such locks, and what says so is `locked`
+except ImportError:  # Windows: no such locks; `locked` returns None
     fcntl = None  # type: ignore[assignment]
 
 _UNABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
@@ -20,13 +20,12 @@ _UNABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
 @contextmanager
 def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> Iterator[None]:
-    """Keep others who do so from changing a file while the block reads and replaces it.
+    """Exclude other processes from changing a file while the block reads and replaces it.
 
-    Who comes second waits. The lock is on a file ``.NAME.lock`` beside ``path``, which is removed
-    at the end. A holder that is killed leaves that file and no lock on it, so nothing is blocked.
-    It is of the process: threads of one process wait for each other as well. Reading, and
-    :func:`.files.replacing` a file that was not read before, need no lock. On systems and disks
-    without ``flock`` there is none.
+    Later callers wait. The lock is on a file ``.NAME.lock`` beside ``path``, removed at the end. A
+    killed holder leaves that file without a lock, so it blocks nobody. Threads of one process
+    exclude each other, too. Reading, and :func:`.files.replacing` a file that was not read before,
+    need no lock. Systems and disks without ``flock`` have none.
 
     Parameters
     ----------
@@ -34,7 +33,7 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
         Need not exist; its folder must.
     waiting : callable, optional
         Called once if another holds the lock.
-
+        Called once if another process holds the lock.
     Raises
     ------
     SeglocError
@@ -51,12 +50,12 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
         yield
     finally:
         with suppress(OSError):
-            lock.unlink()  # while it is held: who waits for it sees that it is another file
+            lock.unlink()  # while held: waiting processes notice that it is another file
         os.close(handle)
 
 
 def locked(handle: int, *, wait: bool = False) -> bool | None:
-    """Lock an open file until it is closed; False if another holds it, None without locks."""
+    """Lock an open file until it is closed; return False if it is held, None without locks."""
     if fcntl is None:
         return None
     try:
@@ -71,7 +70,7 @@ def locked(handle: int, *, wait: bool = False) -> bool | None:
 
 
 def process_lives(number: int) -> bool:
-    """Whether there is a process of that number; taken to be so where that cannot be told."""
+    """Return whether a process of that number exists; True if unknown."""
     if os.name != "posix":
         return True
     try:
@@ -101,7 +100,7 @@ def _acquired(lock: Path, waiting: Callable[[], None] | None) -> int:
 
 
 def _still_there(lock: Path, handle: int) -> bool:
-    """Whether the file that was opened is the one of that name: its last holder removed it."""
+    """Return whether the opened file still has that name, or was removed by its last holder."""
     try:
         return os.path.samestat(lock.stat(), os.fstat(handle))
     except FileNotFoundError:

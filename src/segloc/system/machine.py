@@ -1,4 +1,4 @@
-"""What machine this is, for reports."""
+"""Describe the machine, for reports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _DEVELOPMENT = re.compile(r"extra == ['\"](dev|fuzz|test|test-tools)['\"]")
 
 
 def processor() -> str:
-    """The processor in one line."""
+    """Return the processor in one line."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
@@ -23,7 +23,7 @@ def processor() -> str:
 
 
 def versions() -> list[str]:
-    """What a report of a fault must say: lines on Python, the machine, and what is installed."""
+    """Return lines for a bug report: Python, the machine, and installed packages."""
     from .._native import instruction_set
 
     python = f"{platform.python_implementation()} {platform.python_version()}"
@@ -35,7 +35,7 @@ def versions() -> list[str]:
 
 
 def _installed() -> dict[str, str]:
-    """The versions of what segloc needs or can use, as far as it is installed."""
+    """Return the versions of installed packages that segloc needs or can use."""
     found = {}
     for requirement in metadata.requires("segloc") or []:
         if _DEVELOPMENT.search(requirement):

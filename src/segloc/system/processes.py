@@ -1,4 +1,4 @@
-"""Independent work in several processes."""
+"""Run independent tasks in several processes."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ Result = TypeVar("Result")
 
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 _ATTEMPTS = 4
-"""How often a task is begun whose worker is lost."""
+"""Maximum number of starts of a task whose worker is lost."""
 
 
 class _Pool(ProcessPoolExecutor):
-    """Processes that Ctrl-C, which a terminal sends them too, reaches only while they work.
+    """Processes that receive Ctrl-C from the terminal only while they work.
 
-    Elsewhere, such as while they start, it would end them in a traceback of many lines. A process
-    begins with the signals blocked that are blocked where it is made.
+    At other times, such as during start-up, it would end them with a long traceback. A process
+    inherits the blocked signals of its parent.
     """
 
     def submit(self, fn: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
         if os.name == "posix":
-            resource_tracker.ensure_running()  # or it is started below, and unblocks the signal
+            resource_tracker.ensure_running()  # else it is started below, and unblocks the signal
         with _interrupts("SIG_BLOCK"):
             return super().submit(_work, fn, *given, **named)
 
 
 @contextmanager
 def _interrupts(way: str) -> Iterator[None]:
-    """Hold interrupts back until the block is over, or let them through in it; not on Windows."""
+    """Hold interrupts back during the block, or let them through; not on Windows."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -48,7 +48,7 @@ def _interrupts(way: str) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_interrupted = False  # then what else is queued for this process is not begun
+_interrupted = False  # True: queued tasks of this process are not started
 
 
 def _work(work: Callable[..., Result], *given: Any, **named: Any) -> Result:
@@ -64,7 +64,7 @@ def _work(work: Callable[..., Result], *given: Any, **named: Any) -> Result:
 
 
 class ProcessPool(Executor):
-    """Fresh processes: forked ones would inherit the ray caster's stopped threads.
+    """Fresh processes: forks would inherit the ray caster's stopped threads.
 
     Parameters
     ----------
@@ -85,14 +85,14 @@ class ProcessPool(Executor):
         self._pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def renew(self) -> None:
-        """Start other processes, where one of them was ended: no task can be given to the rest."""
+        """Start new processes after one was lost, since the pool accepts no more tasks."""
         self._pool.shutdown()
         self._pool = self._made()
 
 
 @contextmanager
 def single_threaded_pool(workers: int) -> Iterator[Executor]:
-    """Processes with one thread each for linear algebra: more would wait for each other."""
+    """Create processes with one thread each for linear algebra; more would compete."""
     before = os.environ.get(_BLAS_THREADS)
     os.environ[_BLAS_THREADS] = "1"
     try:
@@ -108,21 +108,21 @@ def single_threaded_pool(workers: int) -> Iterator[Executor]:
 def as_finished(
     work: Callable[[Task], Result], tasks: Sequence[Task], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
-    """The number of each task and what came of it, as they are finished.
+    """Yield the number and result of each task as it finishes.
 
     Parameters
     ----------
     work : callable
-        Can be pickled, and so can what it takes and returns. Done twice it gives the same.
+        Picklable, as are its argument and result; repeatable.
     tasks : sequence
     executor : Executor or None
-        Of processes, threads, or a cluster. None: this thread, one task after another.
+        Processes, threads, or a cluster. None: this thread, one task after another.
 
     Raises
     ------
     SeglocError
-        If the system ended the process of a task, as it does when memory runs out, and it did so
-        again when a :class:`ProcessPool` began it anew.
+        If the system killed the process of a task, for example as memory ran out, repeatedly in a
+        :class:`ProcessPool`.
     """
     if executor is None:
         yield from enumerate(map(work, tasks))
@@ -137,8 +137,8 @@ def as_finished(
         except BrokenExecutor as error:
             if not isinstance(executor, ProcessPool) or attempt + 1 == _ATTEMPTS:
                 raise SeglocError(
-                    "a worker process was ended, most likely because memory ran out: try fewer "
-                    "workers, such as --workers 1; what is finished is kept"
+                    "a worker process was killed, most likely because memory ran out: use fewer "
+                    "workers, such as --workers 1; finished tasks are kept"
                 ) from error
             executor.renew()
 
@@ -146,7 +146,7 @@ def as_finished(
 def _once(
     work: Callable[[Task], Result], tasks: dict[int, Task], executor: Executor
 ) -> Iterator[tuple[int, Result]]:
-    """What can be had of tasks; raises BrokenExecutor behind it where some of them are lost."""
+    """Yield results of tasks; then raise BrokenExecutor if some are lost."""
     futures: dict[Future[Result], int] = {}
     lost: BrokenExecutor | None = None
     try:
@@ -164,7 +164,7 @@ def _once(
                 yield futures[future], result
     finally:
         for future in futures:
-            future.cancel()  # after a fault the rest would be done in vain
+            future.cancel()  # the rest is not needed after a fault
     if lost is not None:
         raise lost
 
@@ -175,9 +175,9 @@ def all_of(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Result]:
-    """What comes of every task, in their order; see :func:`as_finished`.
+    """Return the results of all tasks, in order; see :func:`as_finished`.
 
-    ``progress`` is called with (tasks done, tasks in all).
+    ``progress`` is called with (tasks done, total).
     """
     found: dict[int, Result] = {}
     for number, result in as_finished(work, tasks, executor):
@@ -193,10 +193,9 @@ def in_parallel(
     workers: int,
     executor: Executor | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """:func:`as_finished` by an executor, or else by so many processes.
+    """Run :func:`as_finished` by an executor, or else by ``workers`` processes.
 
-    These have one thread each for linear algebra. With one, or one task, everything runs in this
-    process.
+    Processes have one thread each for linear algebra. A single worker or task runs in this process.
     """
     if executor is not None or workers == 1 or len(tasks) < 2:
         yield from as_finished(work, tasks, executor)
@@ -207,14 +206,14 @@ def in_parallel(
 
 @contextmanager
 def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
-    """What runs tasks on a Dask cluster; a task whose worker is lost is done again.
+    """Connect to a Dask cluster; tasks of lost workers are repeated.
 
     Raises
     ------
     MissingDependency
         If Dask is not installed.
     SeglocError
-        If no scheduler answers there, or a task ended several workers.
+        If no scheduler answers, or a task ended several workers.
     """
     try:
         from distributed import Client, KilledWorker
@@ -223,20 +222,20 @@ def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=timeout_s)
     except (OSError, ValueError, TimeoutError) as error:
-        raise SeglocError(f"{address}: no Dask scheduler answers there") from error
+        raise SeglocError(f"{address}: no Dask scheduler answers") from error
     with client:
         try:
             yield client.get_executor(pure=False, retries=_ATTEMPTS - 1)
         except KilledWorker as error:
             raise SeglocError(
                 f"{address}: a task ended several workers, most likely because memory ran out: "
-                "give them more, or fewer of them a machine"
+                "give them more memory, or start fewer per machine"
             ) from error
 
 
 @contextmanager
 def executing(workers: int, address: str | None) -> Iterator[Executor | None]:
-    """Several processes, or a cluster; None where this process is to do it."""
+    """Create processes, or connect to a cluster; None to work in this process."""
     if address is not None:
         with cluster(address) as executor:
             yield executor

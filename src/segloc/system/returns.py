@@ -1,4 +1,4 @@
-"""Which points of a scan are measurements: others are not finite, absurdly far, or missing returns.
+"""Select the points of a scan that are measurements: finite, plausible, and not missing returns.
 
 Drivers write missing returns as points on one fixed spot, or at one fixed range beyond all others.
 They are found by structure. Range noise spreads the points of any real surface over more than the
@@ -17,12 +17,12 @@ RANGE_TOLERANCE_M = 1e-3
 """Half the width of "one range" [m]: the rounding of coordinates written with three decimals."""
 
 MIN_SHARE = 0.05
-"""Share of a scan that fixed points must reach to be taken for missing returns."""
+"""Minimum share of fixed points in a scan to be taken for missing returns."""
 
-_MIN_POINTS = 200  # of a scan that is examined
-_SAMPLE = 2048  # points, by which fixed ranges are noticed
-_MAX_RANGES = 4  # fixed ranges that are examined in one scan
-_MAX_BEYOND = 0.01  # share of a scan that may lie beyond the range that stands for no return
+_MIN_POINTS = 200  # of a scan
+_SAMPLE = 2048  # points used to detect fixed ranges
+_MAX_RANGES = 4  # fixed ranges examined per scan
+_MAX_BEYOND = 0.01  # share of a scan that may lie beyond the range of missing returns
 _MIN_THICKNESS = 0.02  # of points at that range about their plane, as a share of the range
 
 
@@ -41,7 +41,7 @@ def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int
     if not len(points):
         return None, 0, 0
     kept, dropped = None, 0
-    if not np.abs(points).max() <= MOST_METRES:  # NaN is not
+    if not np.abs(points).max() <= MOST_METRES:  # also for NaN
         kept = np.asarray((np.abs(points) <= MOST_METRES).all(axis=1))
         points, dropped = points[kept], int(len(kept) - kept.sum())
     if (missing := missing_returns(points)) is None:
@@ -58,13 +58,13 @@ def missing_returns(points: Float32) -> NDArray[np.bool_] | None:
 
     Returns
     -------
-    (N,) bool, or None where there are none
-        True for the points on one spot, and for those at the largest range in directions that no
-        plane explains, if they are ``MIN_SHARE`` of the scan or more.
+    (N,) bool, or None if there are none
+        True for points on one spot, and for points at the largest range in directions that no
+        plane explains, if they are at least ``MIN_SHARE`` of the scan.
     """
     if len(points) < _MIN_POINTS:
         return None
-    step = (1 + len(points) // _SAMPLE) | 1  # odd: even steps meet few of a sensor's beams
+    step = (1 + len(points) // _SAMPLE) | 1  # odd: even steps hit few of a sensor's beams
     ranges = _dense_ranges(np.sort(_ranges(points[::step])))
     if not ranges:
         return None
@@ -84,7 +84,7 @@ def _ranges(points: Float32) -> NDArray[np.float64]:
 
 
 def _dense_ranges(ascending: NDArray[np.float64]) -> list[float]:
-    """Ranges about which ``MIN_SHARE`` of those given lie within the tolerance, in metres."""
+    """Return ranges [m] with at least ``MIN_SHARE`` of the given ones within the tolerance."""
     count = max(2, int(MIN_SHARE * len(ascending)))
     width = 2 * RANGE_TOLERANCE_M
     dense = ascending[: 1 - count][ascending[count - 1 :] - ascending[: 1 - count] <= width]
@@ -97,9 +97,9 @@ def _dense_ranges(ascending: NDArray[np.float64]) -> list[float]:
 
 
 def _fixed(points: Float32, metres: float, fewest: int, farthest: bool) -> NDArray[np.bool_]:
-    """Which of the points at one range are no surface: all, those on one spot, or none.
+    """Return which points at one range are no surface: all, those on one spot, or none.
 
-    All are, if next to nothing lies beyond them and they are no ring: they are ``farthest``.
+    All are if they are ``farthest``, almost nothing lies beyond them, and they are no ring.
     """
     if len(points) < fewest:
         return np.zeros(len(points), dtype=np.bool_)
@@ -118,7 +118,7 @@ def _fixed(points: Float32, metres: float, fewest: int, farthest: bool) -> NDArr
 
 
 def _is_spread(points: NDArray[np.float64], metres: float) -> bool:
-    """Whether points at one range lie on a sphere, and not on a plane that cuts it."""
+    """Return whether points at one range lie on a sphere rather than on a plane."""
     middle = points.mean(axis=0)
     values, _ = np.linalg.eigh(np.cov((points - middle).T))
     thickness = float(np.sqrt(max(values[0], 0.0)))

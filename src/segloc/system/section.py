@@ -1,7 +1,7 @@
-"""Sections of the configuration, and the YAML they are read from.
+"""Sections of the configuration, and their YAML.
 
-A section refuses unknown keys, NaN, infinity and wrong values; YAML is small, flat and without
-references.
+A section rejects unknown keys, NaN, infinity and invalid values; YAML must be small, flat and
+without references.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ..errors import ConfigError
 SectionT = TypeVar("SectionT", bound="Section")
 
 
-_LONGEST = 100_000  # characters; the whole configuration with its comments has 6000
-_DEEPEST = 20
+_MAX_LENGTH = 100_000  # characters; the whole configuration with comments has 6000
+_MAX_DEPTH = 20
 
 
 class Section(BaseModel):
@@ -40,12 +40,12 @@ class Section(BaseModel):
         except ValidationError as error:
             raise _refused(type(self), error) from error
 
-    # Sections within sections are validated without it, so that faults keep their whole keys.
+    # Nested sections are validated without it, so that faults keep their full keys.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod
     def model_validate(cls: type[SectionT], obj: Any, **options: Any) -> SectionT:
-        """A section of a mapping of its values; ``options`` are those of pydantic."""
+        """Validate a mapping of values; ``options`` are pydantic's."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError as error:
@@ -54,13 +54,13 @@ class Section(BaseModel):
     def model_copy(
         self: SectionT, *, update: Mapping[str, Any] | None = None, deep: bool = False
     ) -> SectionT:
-        """A copy with other values for some keys, which are checked."""
+        """Return a copy with other values for some keys, which are checked."""
         copied = super().model_copy(deep=deep)
         return type(self).model_validate({**dict(copied), **update}) if update else copied
 
 
 def _refused(model: type[BaseModel], error: ValidationError) -> ConfigError:
-    """The first fault in one line: key, what is wrong, what was given."""
+    """Return the first fault in one line: key, fault, value."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
@@ -71,7 +71,7 @@ def _refused(model: type[BaseModel], error: ValidationError) -> ConfigError:
 
 
 def _meant(model: type[BaseModel], key: str) -> str:
-    """Which key may be meant by an unknown one."""
+    """Suggest the key meant by an unknown one."""
     keys = list(_keys(model))
     last = key.rpartition(".")[2]
     same = [each for each in keys if each.rpartition(".")[2] == last]
@@ -79,7 +79,7 @@ def _meant(model: type[BaseModel], key: str) -> str:
     if not near:
         names = {each.rpartition(".")[2]: each for each in keys}
         near = [names[name] for name in get_close_matches(last, names, 1, 0.7)]
-    return f": did you mean {near[0]}?" if near else ": `segloc config --all` prints all of them"
+    return f": did you mean {near[0]}?" if near else ": `segloc config --all` lists all keys"
 
 
 def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
@@ -90,21 +90,21 @@ def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """What a YAML file maps names to; nothing if it is empty.
+    """Read a YAML file as a mapping; an empty file gives an empty one.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is no YAML mapping, or as :func:`parse_yaml`.
+        If the file cannot be read or is not a YAML mapping, or as :func:`parse_yaml`.
     """
     try:
         if path.exists() and not path.is_file():
             raise ConfigError(f"{path}: cannot be read (not a file)")
         with path.open(encoding="utf-8") as file:
-            text = file.read(_LONGEST + 1)
+            text = file.read(_MAX_LENGTH + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:  # not UTF-8, or no name of a file
+    except ValueError as error:  # not UTF-8, or an invalid file name
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     values = parse_yaml(text, str(path))
     if values is None:
@@ -115,23 +115,23 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """What a text in YAML says.
+    """Parse YAML.
 
     Raises
     ------
     ConfigError
-        If it is no YAML, too long, nested too deep, or refers to itself (``*name``), by which a
-        few lines can stand for billions; names ``where``.
+        If it is not YAML, too long, nested too deeply, or has references (``*name``), by which a
+        few lines can expand to billions; names ``where``.
     """
-    if len(text) > _LONGEST:
-        raise ConfigError(f"{where}: longer than {_LONGEST} characters: no configuration")
+    if len(text) > _MAX_LENGTH:
+        raise ConfigError(f"{where}: longer than {_MAX_LENGTH} characters: not a configuration")
     try:
         _check_events(text, where)
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ConfigError(f"{where}: not YAML ({str(error).splitlines()[0]})") from error
     except (ValueError, TypeError, LookupError, OverflowError, AttributeError) as error:
-        # Values that look like numbers or dates, and are none.
+        # Values that look like invalid numbers or dates.
         raise ConfigError(f"{where}: not YAML ({error})") from error
 
 
@@ -142,5 +142,5 @@ def _check_events(text: str, where: str) -> None:
             raise ConfigError(f"{where}: references (*{event.anchor}) are not supported")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
-            raise ConfigError(f"{where}: nested deeper than {_DEEPEST} levels")
+        if depth > _MAX_DEPTH:
+            raise ConfigError(f"{where}: nested deeper than {_MAX_DEPTH} levels")

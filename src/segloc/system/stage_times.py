@@ -1,4 +1,4 @@
-"""How long the stages of a query take."""
+"""Time the stages of a query."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Clock = Callable[[], float]
 
 
 class StageTimes:
-    """Adds up the milliseconds spent in named blocks.
+    """Accumulate the milliseconds spent in named blocks.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ class StageTimes:
         self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (self._clock() - start)
 
     def beyond(self, deadline_ms: float | None) -> bool:
-        """Whether all stages together took as long."""
+        """Return whether all stages together reached the deadline."""
         return deadline_ms is not None and sum(self.ms.values()) >= deadline_ms
 
     def with_total(self) -> dict[str, float]:
-        """The times of all stages, and their sum as "total"."""
+        """Return the times of all stages, and their sum as "total"."""
         return {**self.ms, "total": sum(self.ms.values())}

@@ -1,7 +1,7 @@
-"""Files in safetensors layout, read and never mapped: a length, a JSON header, raw buffers.
+"""Read files in safetensors layout: a length, a JSON header, raw buffers; never memory-mapped.
 
-A mapped file that is cut short by someone else ends the process that looks at it; a read comes
-back short and can be refused. Whatever reads maps or weights hashes them whole anyway.
+If a mapped file is truncated meanwhile, the process is killed; a short read can be rejected.
+Readers of maps and weights hash them completely anyway.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_HEADER_BYTES = 16_000_000
-"""A header is text that people wrote; a longer one would grow too much when it is parsed."""
+"""Longer headers would take too much memory to parse."""
 
 _DTYPES = {
     **{"F64": "<f8", "F32": "<f4", "F16": "<f2", "BOOL": "|b1"},
@@ -28,17 +28,17 @@ _DTYPES = {
     **{f"U{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
 }
 _PART = 1 << 15  # numbers
-_CUT_SHORT = "it was cut short while it was read"
-_MOST_DIMENSIONS, _MOST_DIGITS, _MOST_SIZE = 8, 19, 1 << 62
+_CUT_SHORT = "it was truncated while being read"
+_MAX_DIMENSIONS, _MAX_DIGITS, _MAX_SIZE = 8, 19, 1 << 62
 
 
 class TensorFileError(Exception):
-    """The file is not in this layout, damaged, or cut short while it is read; one line."""
+    """A file that is damaged, truncated, or in another layout; one line."""
 
 
 @dataclass(frozen=True)
 class Tensor:
-    """Where a tensor lies, in bytes behind the header."""
+    """Position of a tensor, in bytes after the header."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -47,13 +47,13 @@ class Tensor:
 
 
 class TensorFile:
-    """An open file whose header was checked against the length of the file.
+    """Open file with a header checked against the file's length.
 
     Attributes
     ----------
     metadata : dict of str to str
     tensors : dict of str to Tensor
-        In the order of their places. Together they cover the file behind the header.
+        In the order of their positions. Together they cover the file after the header.
     """
 
     def __init__(self, stream: FileIO) -> None:
@@ -72,9 +72,9 @@ class TensorFile:
         self._check_cover(length - self._body)
 
     def read(self, name: str, look: Callable[[NDArray[Any]], None] | None = None) -> NDArray[Any]:
-        """The tensor of that name, as an array of its own.
+        """Read a tensor as a new array.
 
-        ``look`` is shown its numbers part by part, each while the processor has it at hand.
+        ``look`` is called with its numbers part by part, while they are in the processor's cache.
 
         Raises
         ------
@@ -112,20 +112,20 @@ class TensorFile:
         reached = 0
         for name, tensor in self.tensors.items():
             if tensor.begin != reached:
-                raise TensorFileError(f"{name} does not begin where the one before it ends")
+                raise TensorFileError(f"{name} does not start where the previous tensor ends")
             reached = tensor.end
         if reached != length:
-            raise TensorFileError(f"its tensors need {reached} bytes, and it has {length}")
+            raise TensorFileError(f"its tensors need {reached} bytes, the file has {length}")
 
 
 @contextmanager
-def opened(path: str | Path) -> Iterator[TensorFile]:
-    """A file in safetensors layout, open for reading.
+def open_tensor_file(path: str | Path) -> Iterator[TensorFile]:
+    """Open a file in safetensors layout for reading.
 
     Raises
     ------
     TensorFileError
-        If the header is damaged or does not fit the length of the file.
+        If the header is damaged or does not match the length of the file.
     OSError
     """
     with Path(path).open("rb", buffering=0) as stream:
@@ -136,14 +136,14 @@ def _parsed(text: bytes) -> dict[str, Any]:
     try:
         header = json.loads(text.decode(), parse_int=_int, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
-        raise TensorFileError("the header is no JSON text") from error
+        raise TensorFileError("the header is not JSON") from error
     if not isinstance(header, dict):
-        raise TensorFileError("the header is no JSON object")
+        raise TensorFileError("the header is not a JSON object")
     return header
 
 
 def _int(digits: str) -> int:
-    return int(digits) if len(digits) <= _MOST_DIGITS else _MOST_SIZE  # which no file has
+    return int(digits) if len(digits) <= _MAX_DIGITS else _MAX_SIZE  # larger than any file
 
 
 def _refuse(constant: str) -> NoReturn:
@@ -152,18 +152,18 @@ def _refuse(constant: str) -> NoReturn:
 
 def _texts(metadata: Any) -> dict[str, str]:
     if not (isinstance(metadata, Mapping) and all(isinstance(v, str) for v in metadata.values())):
-        raise TensorFileError("the metadata are no texts")
+        raise TensorFileError("the metadata are not texts")
     return dict(metadata)
 
 
 def _tensor(name: str, entry: Any) -> Tensor:
     try:
         dtype, shape, (begin, end) = entry["dtype"], tuple(entry["shape"]), entry["data_offsets"]
-        known = len(entry) == 3 and dtype in _DTYPES and len(shape) <= _MOST_DIMENSIONS
+        known = len(entry) == 3 and dtype in _DTYPES and len(shape) <= _MAX_DIMENSIONS
     except (KeyError, TypeError, ValueError) as error:
         raise TensorFileError(f"the header's entry of {name[:40]!r} is damaged") from error
     numbers = (*shape, begin, end)
-    whole = all(type(n) is int and 0 <= n < _MOST_SIZE for n in numbers)
+    whole = all(type(n) is int and 0 <= n < _MAX_SIZE for n in numbers)
     if not (known and whole):
         raise TensorFileError(f"the header's entry of {name[:40]!r} is damaged")
     if prod(shape) * np.dtype(_DTYPES[dtype]).itemsize != end - begin:

@@ -1,8 +1,8 @@
-"""Maps too large for one file: overlapping tiles in a folder or bucket, and localization in them.
+"""Maps in tiles: overlapping squares in a folder or bucket, and localization in them.
 
-A tile is a map by itself. It owns the square that it covers, and holds what a sensor sees from
-there. ``tiles.json`` names the tiles; a thin map of all of them says which to look into. A
-:class:`segloc.Localizer` takes a :class:`TiledMap` in place of a map.
+A tile is a map by itself. It owns its square, and holds what a sensor sees from there.
+``tiles.json`` lists the tiles; a thin map of all of them selects those to search. A
+:class:`segloc.Localizer` accepts a :class:`TiledMap` as its map.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .tiled_map import TiledMap
 __all__ = ["TiledMap", "cut_tiles", "holds_tiles", "merge_into_tiles", "update_tiles"]
 
 if TYPE_CHECKING:
-    from .cut import written as written
+    from .cut import write_tile as write_tile
     from .index import INDEX as INDEX
     from .store import store_of as store_of
 else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
-            "cut": "written",
+            "cut": "write_tile",
             "index": "INDEX",
             "store": "store_of",
         },

@@ -1,4 +1,4 @@
-"""Tiles brought up to date: those that a session or another map reaches, and no others."""
+"""Update the tiles within reach of a session or of another map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..map.same_place import check_same_place
 from ..map.segment_map import SegmentMap, along, concatenated, with_sessions
 from ..map.update import UpdateConfig, UpdateCounts, update_map
 from ..types import Float64, Recording
-from .cut import COARSE, in_square, part_of, publish, thin_of, written
+from .cut import COARSE, in_square, part_of, publish, thin_of, write_tile
 from .index import Tile, TileIndex, cells_of
 from .store import Store, store_of
 from .tiled_map import TiledMap
@@ -28,14 +28,14 @@ Change = Callable[[SegmentMap], SegmentMap]
 
 @dataclass(frozen=True)
 class Changed:
-    """What was done to tiles.
+    """Result of a change of tiles.
 
     Attributes
     ----------
     index : TileIndex
-        The new one.
+        New index.
     read, written : int
-        Tiles.
+        Numbers of tiles.
     """
 
     index: TileIndex
@@ -52,28 +52,28 @@ def update_tiles(
     *,
     elsewhere: bool = False,
 ) -> tuple[Changed, UpdateCounts]:
-    """Add what a session saw to the tiles that it reaches, and age and remove what it passed.
+    """Add a session to the tiles within its reach, and remove objects that are gone.
 
-    As :func:`segloc.map.update.update_map` does with a map in one piece. Writers wait for each
-    other, and readers see the old tiles or the new ones.
+    Works as :func:`segloc.map.update.update_map` does with an untiled map. Writers exclude each
+    other; readers see either the old tiles or the new ones.
 
     Parameters
     ----------
     where : path or URL
-        Of the tiles.
+        Folder of the tiles.
     recording : Recording
-        Its poses are T_map_sensor.
+        Session with poses T_map_sensor.
     config : Config, optional
-        How the session is described; by default as the map was built.
+        Configuration of the session; by default the map's.
     update, progress, elsewhere
-        As of ``update_map``.
+        As for ``update_map``.
 
     Raises
     ------
     DatasetError, MapMismatch, SeglocError
-        As ``update_map`` does; nothing has changed then.
+        As ``update_map`` does; nothing is changed then.
     MapFormatError
-        If a tile that is needed cannot be had; names its file.
+        If a required tile is unavailable; names its file.
     """
     poses = recording.poses
     if poses is None or not len(poses):
@@ -94,23 +94,23 @@ def update_tiles(
 
 
 def merge_into_tiles(where: str | Path, other: SegmentMap, *, elsewhere: bool = False) -> Changed:
-    """Merge a map into the tiles that it reaches.
+    """Merge a map into the tiles within its reach.
 
     Parameters
     ----------
     where : path or URL
-        Of the tiles.
+        Folder of the tiles.
     other : SegmentMap
         In the frame of the tiles.
     elsewhere : bool
-        Whether it may be of another place in that frame.
+        True to allow another place in the frame of the tiles.
 
     Raises
     ------
     MapMismatch
-        If the maps were made by different descriptors, or are not of one place in one frame.
+        If the descriptors differ, or the maps are not of one place in one frame.
     MapFormatError
-        If a tile that is needed cannot be had; names its file.
+        If a required tile is unavailable; names its file.
     """
 
     def change(part: SegmentMap) -> SegmentMap:
@@ -126,7 +126,7 @@ def merge_into_tiles(where: str | Path, other: SegmentMap, *, elsewhere: bool = 
 def _changed(
     store: Store, places: Float64, reach_m: float, change: Change, path: Float64 | None = None
 ) -> Changed:
-    """Replace the tiles that hold something within reach of places; new ones along a path."""
+    """Replace the tiles within reach of places; add new ones along a trajectory."""
     with store.alone():
         tiles = TiledMap(store.where)
         index, size_m = tiles.index, tiles.index.size_m
@@ -136,13 +136,13 @@ def _changed(
         cells = sorted(new | (near & have.keys()))
         support = [have[cell] for cell in sorted(_around(cells, index) & have.keys())]
         if not support:
-            raise MapMismatch(f"{store.where}: no tile is near: merge maps in one piece, and cut")
+            raise MapMismatch(f"{store.where}: no tile is near: merge the untiled maps, then cut")
         before = tiles.together(support)
         after = _numbered(change(before), before, tiles.coarse())
         parts = {cell: part_of(after, cell, size_m, index.margin_m) for cell in cells}
         made = [_tile(store, parts[cell], cell, size_m) for cell in cells]
         kept = [tile for cell, tile in have.items() if cell not in parts]
-        coarse = written(store, _coarse(tiles, after, cells), "coarse")
+        coarse = write_tile(store, _coarse(tiles, after, cells), "coarse")
         everything = sorted([*kept, *made], key=lambda tile: tile.cell)
         found = index.model_copy(update={"coarse": coarse, "tiles": tuple(everything)})
         publish(store, found)
@@ -155,7 +155,7 @@ def _cell(row: NDArray[np.int64]) -> Cell:
 
 
 def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
-    """The squares that come within reach of places: of the boxes around those of each square."""
+    """Return the squares within reach of places, by the bounding boxes of occupied squares."""
     cells, square = np.unique(cells_of(places, size_m), axis=0, return_inverse=True)
     low, high = np.full((len(cells), 2), np.inf), np.full((len(cells), 2), -np.inf)
     np.minimum.at(low, square.reshape(-1), places[:, :2])
@@ -171,14 +171,14 @@ def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
 
 
 def _around(cells: list[Cell], index: TileIndex) -> set[Cell]:
-    """Squares that share something with what some tiles hold."""
+    """Return the squares that share content with some tiles."""
     most = math.ceil(index.margin_m / index.size_m)
     steps = range(-most, most + 1)
     return {(i + di, j + dj) for i, j in cells for di in steps for dj in steps}
 
 
 def _numbered(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> SegmentMap:
-    """The map with numbers for its new sessions that no session of any tile has."""
+    """Return the map with new sessions renumbered to be unique over all tiles."""
     new = np.setdiff1d(after.session, before.session)
     if not len(new):
         return after
@@ -191,13 +191,13 @@ def _numbered(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> Segm
 
 
 def _tile(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> Tile:
-    file = written(store, part, f"tile_{cell[0]}_{cell[1]}")
+    file = write_tile(store, part, f"tile_{cell[0]}_{cell[1]}")
     own = in_square(part.trajectory[:, :3, 3], cell, size_m)
     return Tile(**file.model_dump(), cell=cell, poses=int(own.sum()))
 
 
 def _coarse(tiles: TiledMap, after: SegmentMap, cells: list[Cell]) -> SegmentMap:
-    """The thin map of all tiles, with other rows and another path in some squares."""
+    """Return the thin map of all tiles, with the content of some squares replaced."""
     old, size_m = tiles.coarse(), tiles.index.size_m
     rows, path = np.ones(len(old), dtype=bool), old.trajectory
     stays = np.ones(len(path), dtype=bool)

@@ -1,4 +1,4 @@
-"""A map -> tiles in a folder or bucket, replaced one by one."""
+"""Cut a map into tiles in a folder or bucket."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from .index import (
 from .store import Store, store_of
 
 SIZE_M, MARGIN_M = 500.0, 60.0
-"""Of a square, and around it: farther than a local cloud reaches."""
+"""Edge of a square, and margin around it, beyond the range of a local cloud [m]."""
 COARSE_A_KM2, COARSE_AT_LEAST = 24_000, 500
-"""Segments in the thin map of all tiles: of a square kilometre, and of a tile at least."""
+"""Segments in the thin map of all tiles: per square kilometre, and at least per tile."""
 COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
-"""What the thin map of all tiles keeps."""
+"""Settings of the thin map of all tiles."""
 
 AT_ONCE = 64
-"""Tiles that are in memory together."""
+"""Tiles in memory at a time."""
 
 Bools = NDArray[np.bool_]
 Cell = tuple[int, int]
@@ -55,33 +55,32 @@ def cut_tiles(
 ) -> TileIndex:
     """Write a map as tiles, and their index last.
 
-    Where ``out`` has tiles already, those that are the same stay as they are, and readers see
-    either the old tiles or the new ones: a file's name has the digest of its bytes in it. Files
-    that the index names no more are removed at the end.
+    Existing tiles with the same content are kept, and readers see either the old tiles or the new
+    ones: file names contain a digest. Files that the index no longer lists are removed at the end.
 
     Parameters
     ----------
     prior_map : SegmentMap
     out : path or URL
     size_m, margin_m : float
-        Edge of a square, and how far around it a tile reaches.
+        Edge of a square, and margin of the tiles around it [m].
     progress : callable, optional
-        Called with (tiles done, tiles in all).
+        Called with (tiles done, total).
     executor : Executor, optional
-        Writes the tiles, where all its workers see ``out``; by default this process does. What
-        comes of it is the same.
+        Writes the tiles to ``out``, which all its workers must share; by default this process
+        does. The result is the same.
 
     Raises
     ------
     ConfigError
-        If a length makes no sense.
+        If a length is out of range.
     SeglocError
-        If something cannot be written; the old tiles are then as they were.
+        If writing fails; the old tiles are then unchanged.
     """
     if not (50 <= size_m <= 1e6 and 0 <= margin_m <= 1e3):
         raise ConfigError(
-            f"tiles are 50 m to 1000 km wide, with a margin of up to 1 km: not {size_m:g} and "
-            f"{margin_m:g} m"
+            f"tiles must be 50 m to 1000 km wide with a margin of at most 1 km, not {size_m:g} m "
+            f"and {margin_m:g} m"
         )
     store, cells = store_of(out), _cells(prior_map, size_m)
     tasks = (
@@ -95,7 +94,7 @@ def cut_tiles(
                 progress(len(found), len(cells))
         found.sort(key=lambda made: made[0].cell)
         tiles, thin = [tile for tile, _ in found], [part for _, part in found]
-        coarse = written(store, _joined(prior_map, thin), "coarse")
+        coarse = write_tile(store, _join(prior_map, thin), "coarse")
         index = TileIndex(
             version=FORMAT_VERSION,
             size_m=size_m,
@@ -111,7 +110,7 @@ def cut_tiles(
 
 @dataclass(frozen=True)
 class _Task:
-    """A tile to be written: what it holds, and where."""
+    """Tile to write."""
 
     part: SegmentMap
     cell: Cell
@@ -120,9 +119,9 @@ class _Task:
 
 
 def _cut(task: _Task) -> tuple[Tile, SegmentMap]:
-    """Write a tile; the best of what it owns."""
+    """Write a tile; return it with its thin map."""
     cell, owned = task.cell, part_of(task.part, task.cell, task.size_m, 0.0)
-    file = written(store_of(task.out), task.part, f"tile_{cell[0]}_{cell[1]}")
+    file = write_tile(store_of(task.out), task.part, f"tile_{cell[0]}_{cell[1]}")
     return Tile(**file.model_dump(), cell=cell, poses=len(owned.trajectory)), thin_of(
         owned, task.size_m
     )
@@ -131,13 +130,13 @@ def _cut(task: _Task) -> tuple[Tile, SegmentMap]:
 def _parts(
     prior_map: SegmentMap, cells: list[Cell], size_m: float, margin_m: float
 ) -> Iterator[tuple[Cell, SegmentMap]]:
-    """What each square and its margin hold; by halves, so that none is looked for in the whole."""
+    """Yield the content of each square with its margin, by recursive bisection."""
     if len(cells) == 1:
         yield cells[0], part_of(prior_map, cells[0], size_m, margin_m)
         return
     spans = np.ptp(np.array(cells), axis=0)
     ordered = sorted(cells, key=lambda cell: cell[int(spans.argmax())])
-    half, around_m = len(ordered) // 2, margin_m + 1.0  # of each square it is decided at the end
+    half, around_m = len(ordered) // 2, margin_m + 1.0  # exact bounds apply at the leaves
     for some in (ordered[:half], ordered[half:]):
         low, high = np.min(some, axis=0) * size_m, (np.max(some, axis=0) + 1) * size_m
         near = _within(prior_map, low - around_m, high + around_m)
@@ -145,13 +144,13 @@ def _parts(
 
 
 def publish(store: Store, index: TileIndex) -> None:
-    """Write an index whose files are there, and remove files that nobody needs.
+    """Write an index whose files exist, and remove files no longer needed.
 
-    Those of the index before it stay: who has read that one may still ask for them.
+    Files of the previous index are kept, since readers may still use it.
     """
     named = set(_named(index))
     with suppress(OSError, MapFormatError):
-        named.update(_named(TileIndex.parsed(store.read(INDEX, MOST_INDEX_BYTES), store.where)))
+        named.update(_named(TileIndex.parse(store.read(INDEX, MOST_INDEX_BYTES), store.where)))
     store.write(INDEX, index.model_dump_json(indent=1).encode())
     for name in store.names():
         ours = name.endswith(".segmap") and name.startswith(("tile_", "coarse-"))
@@ -164,12 +163,12 @@ def _named(index: TileIndex) -> list[str]:
 
 
 def part_of(prior_map: SegmentMap, cell: Cell, size_m: float, margin_m: float) -> SegmentMap:
-    """What lies in a square, or no farther from it than a margin along either axis."""
+    """Return the part of a map in a square and a margin around it."""
     return _within(prior_map, *_box(cell, size_m, margin_m))
 
 
 def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
-    """What lies in a box, seen from above."""
+    """Return the part of a map in a box, seen from above."""
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
     path = prior_map.trajectory
     kept = prior_map.kept(_inside(prior_map.centroids, low, high), _inside(points, low, high))
@@ -177,16 +176,16 @@ def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
 
 
 def _cells(prior_map: SegmentMap, size_m: float) -> list[Cell]:
-    """The squares that a path goes through; those of the segments where there is no path."""
+    """Return the squares along the trajectory, or of the segments if there is none."""
     path = prior_map.trajectory[:, :3, 3]
     where = path if len(path) else prior_map.centroids
     if not len(where):
-        raise SeglocError("a map without a path and segments has no tiles")
+        raise SeglocError("a map without trajectory and segments has no tiles")
     return [(int(i), int(j)) for i, j in np.unique(cells_of(where, size_m), axis=0)]
 
 
-def written(store: Store, part: SegmentMap, name: str) -> TileFile:
-    """A map in a file of its own; one that is there already is not written again."""
+def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
+    """Write a map to a file named by its content, unless it exists."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "part.segmap"
         part.save(path)
@@ -199,7 +198,7 @@ def written(store: Store, part: SegmentMap, name: str) -> TileFile:
 
 
 def thin_of(part: SegmentMap, size_m: float) -> SegmentMap:
-    """The best view of each object of a tile, and only so many, without the cloud."""
+    """Return a tile's best view of each object, up to a number, without the cloud."""
     most = max(COARSE_AT_LEAST, round(COARSE_A_KM2 * (size_m / 1e3) ** 2))
     none = np.zeros(len(part.cloud), dtype=bool)
     thin = compacted(part.kept(np.ones(len(part), dtype=bool), none), COARSE)
@@ -212,16 +211,15 @@ def thin_of(part: SegmentMap, size_m: float) -> SegmentMap:
     return thin.kept(chosen, np.zeros(0, dtype=bool))
 
 
-def _joined(prior_map: SegmentMap, parts: list[SegmentMap]) -> SegmentMap:
-    """The thin maps of all tiles as one, with the whole path."""
+def _join(prior_map: SegmentMap, parts: list[SegmentMap]) -> SegmentMap:
+    """Join the thin maps of all tiles, with the whole trajectory."""
     return compacted(along(concatenated(parts), prior_map.trajectory), COARSE)
 
 
-def chosen_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileIndex) -> Bools:
-    """Which of a tile's (N, 2 or 3) positions no other tile has a better right to.
+def owned_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileIndex) -> Bools:
+    """Return which of a tile's (N, 2 or 3) positions belong to it rather than to another tile.
 
-    A tile has a right to what lies in its square; of tiles that hold something only in their
-    margins, the first does.
+    A tile owns its square; positions only in margins belong to the first of the tiles.
     """
     own = in_square(positions, tile.cell, index.size_m)
     keep = np.ones(len(positions), dtype=bool)
@@ -235,7 +233,7 @@ def chosen_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileI
 def in_square(
     positions: Float64, cell: tuple[int, int], size_m: float, margin_m: float = 0.0
 ) -> Bools:
-    """Which of (N, 2 or 3) positions lie in a square, or no farther from it than a margin."""
+    """Return which of (N, 2 or 3) positions lie in a square and a margin around it."""
     return _inside(positions, *_box(cell, size_m, margin_m))
 
 

@@ -1,4 +1,4 @@
-"""``tiles.json``: which tiles there are, where they lie, and what their bytes must be."""
+"""``tiles.json``: the tiles with their positions and digests."""
 
 from __future__ import annotations
 
@@ -18,44 +18,44 @@ from ..types import Float64
 
 INDEX = "tiles.json"
 FORMAT_VERSION = 1
-"""Raised whenever an older reader would misread a newer file."""
+"""To be increased when older readers would misread newer files."""
 
 MOST_INDEX_BYTES = 64_000_000
-_MOST_FILE_BYTES = 1 << 36
+_MAX_FILE_BYTES = 1 << 36
 _DIGEST = r"^[0-9a-f]{32}$"
-_NAME = r"^[a-z0-9_.-]{1,100}$"  # one file beside the index, whatever a stranger wrote
+_NAME = r"^[a-z0-9_.-]{1,100}$"  # restricts untrusted indices to files beside them
 
 _Cell = Annotated[int, Field(ge=-(1 << 31), le=1 << 31)]
 
 
 class TileFile(Section):
-    """One file beside the index.
+    """File beside the index.
 
     Attributes
     ----------
     file : str
-        Its name; it has the digest in it, so that a file is never replaced by another.
+        Name with the digest in it, so that files are never overwritten.
     bytes : int
     digest : str
-        BLAKE2b-128 of its bytes.
+        BLAKE2b-128 of the content.
     segments : int
     """
 
     file: str = Field(pattern=_NAME)
-    bytes: int = Field(ge=0, le=_MOST_FILE_BYTES)
+    bytes: int = Field(ge=0, le=_MAX_FILE_BYTES)
     digest: str = Field(pattern=_DIGEST)
     segments: int = Field(ge=0)
 
 
 class Tile(TileFile):
-    """The map of one square.
+    """Map of one square.
 
     Attributes
     ----------
     cell : (int, int)
         Tile (i, j) owns x from ``i * size_m`` to ``(i + 1) * size_m``, and y likewise.
     poses : int
-        Of the path, within the square.
+        Number of poses of the trajectory within the square.
     """
 
     cell: tuple[_Cell, _Cell]
@@ -63,16 +63,16 @@ class Tile(TileFile):
 
 
 class TileIndex(Section):
-    """What ``tiles.json`` holds.
+    """Content of ``tiles.json``.
 
     Attributes
     ----------
     size_m : float
-        Edge of a square.
+        Edge of a square [m].
     margin_m : float
-        A tile holds what lies so far around its square, too.
+        Margin around its square that a tile also holds [m].
     coarse : TileFile
-        A thin map of all tiles, without clouds.
+        Thin map of all tiles, without clouds.
     tiles : tuple of Tile
     """
 
@@ -85,20 +85,20 @@ class TileIndex(Section):
     tiles: tuple[Tile, ...]
 
     @classmethod
-    def parsed(cls, data: bytes, where: str) -> TileIndex:
-        """The index in some bytes.
+    def parse(cls, data: bytes, where: str) -> TileIndex:
+        """Parse an index.
 
         Raises
         ------
         MapFormatError
-            If they are no such index, or one of a newer version; names ``where``.
+            If it is invalid or of a newer version; names ``where``.
         """
         try:
             index = cls.model_validate_json(data)
         except (ValidationError, RecursionError) as error:
             first = error.errors()[0] if isinstance(error, ValidationError) else None
             key = ".".join(str(part) for part in first["loc"])[:80] if first else ""
-            raise MapFormatError(f"{where}: no index of tiles ({key or 'no JSON'})") from error
+            raise MapFormatError(f"{where}: not an index of tiles ({key or 'no JSON'})") from error
         if index.version > FORMAT_VERSION:
             raise MapFormatError(f"{where}: written by a newer segloc (tiles {index.version})")
         if len({tile.cell for tile in index.tiles}) < len(index.tiles):
@@ -106,7 +106,7 @@ class TileIndex(Section):
         return index
 
     def near(self, prior: Prior) -> tuple[Tile, ...]:
-        """The tiles whose squares a sensor near a prior may be in."""
+        """Return the tiles whose squares may hold a sensor near a prior."""
         low = np.array([tile.cell for tile in self.tiles]).reshape(-1, 2) * self.size_m
         at = np.asarray(prior.position)[:2]
         beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
@@ -114,9 +114,9 @@ class TileIndex(Section):
         return tuple(self.tiles[k] for k in np.flatnonzero(inside).tolist())
 
     def owners(self, positions: Float64) -> list[Tile | None]:
-        """The tile that owns each of (N, 2 or 3) positions.
+        """Return the tile that owns each of (N, 2 or 3) positions.
 
-        Beside the path there may be no tile: then it is the nearest whose margin reaches there.
+        Off the trajectory there may be none; then it is the nearest whose margin reaches there.
         """
         by_cell = {tile.cell: tile for tile in self.tiles}
         return [
@@ -125,25 +125,25 @@ class TileIndex(Section):
         ]
 
     def _reaching(self, x: float, y: float) -> Tile | None:
-        """The nearest tile whose margin reaches a place."""
+        """Return the nearest tile whose margin contains a position."""
         nearest = min(self.tiles, key=lambda tile: self.distance(tile, x, y), default=None)
         if nearest is None or self.distance(nearest, x, y) > self.margin_m:
             return None
         return nearest
 
     def distance(self, tile: Tile, x: float, y: float) -> float:
-        """From a place to a tile's square, metres; 0 in it."""
+        """Return the distance from a position to a tile's square [m]; 0 inside."""
         low = [k * self.size_m for k in tile.cell]
         beyond = [max(a - v, v - a - self.size_m, 0.0) for a, v in zip(low, (x, y), strict=True)]
         return math.hypot(*beyond)
 
 
 def cells_of(positions: ArrayLike, size_m: float) -> NDArray[np.int64]:
-    """The squares that (N, 2 or 3) positions lie in, (N, 2)."""
+    """Return the squares that contain (N, 2 or 3) positions, (N, 2)."""
     cells: NDArray[np.int64] = np.floor(np.asarray(positions)[:, :2] / size_m).astype(np.int64)
     return cells
 
 
 def digest_of(data: bytes) -> str:
-    """BLAKE2b-128, as hexadecimal digits."""
+    """Return BLAKE2b-128 as hexadecimal digits."""
     return hashlib.blake2b(data, digest_size=16).hexdigest()

@@ -1,4 +1,4 @@
-"""Localization in tiles: a prior or a coarse vote says which, and they are searched as one map."""
+"""Localization in tiles, which a prior or a coarse vote selects; they are searched as one map."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ from ..system.stage_times import StageTimes
 from ..types import Candidate, Float64, Matches
 from .index import Tile, TileIndex
 
-FEW, MORE = 4, 10
-"""So many tiles are looked into; all that a query may be in are searched where they are no more
-than the second. Set by hand."""
+MAX_VOTED, MAX_ALL = 4, 10
+"""Maximum number of tiles selected by votes, and of tiles that are all searched. Set by hand."""
 Value = TypeVar("Value")
 
 
 class Tiles(Protocol):
-    """What is searched: a :class:`segloc.tiles.TiledMap`."""
+    """Tiles to search; a :class:`segloc.tiles.TiledMap`."""
 
     index: TileIndex
     recent: Recent
@@ -41,19 +40,19 @@ class Tiles(Protocol):
 
 
 class TileSearch:
-    """Searches the tiles that a query may be in.
+    """Search the tiles that may contain a query.
 
-    The query is matched to a thin map of all tiles, or of what lies near the prior. Where one
-    tile has far more votes than chance gives, it is searched. Otherwise the query is matched to all
-    segments of those with the most votes, and where these agree on poses in several of them, they
-    are searched as one map, so that a place that fits as well in another makes the query ambiguous.
-    Clouds are compared in no others, but where all tiles that the sensor may be in are few.
+    The query is matched to a thin map of all tiles, or of those near the prior. A tile with far
+    more votes than chance is searched alone. Otherwise the query is matched to all segments of the
+    tiles with the most votes; those in which segments agree on poses are searched as one map, so
+    that similar places in different tiles make the query ambiguous. Other clouds are compared only
+    if there are few tiles.
 
     Parameters
     ----------
     tiles : Tiles
     coarse : Localizer
-        In the thin map of all tiles.
+        Localizer in the thin map of all tiles.
     """
 
     def __init__(self, tiles: Tiles, coarse: Localizer) -> None:
@@ -77,7 +76,7 @@ class TileSearch:
         Raises
         ------
         MapFormatError
-            If a tile that is needed cannot be had; names its file.
+            If a required tile is unavailable; names its file.
         """
         index = self._tiles.index
         tiles = index.tiles if near is None else index.near(near)
@@ -108,7 +107,7 @@ class TileSearch:
     def _proposed(
         self, query: Query, near: Prior | None, times: StageTimes
     ) -> tuple[Matches, list[Candidate]]:
-        """Poses by the thin map, best first, and the matches that they are of."""
+        """Return poses in the thin map, best first, and their matches."""
         with times("tiles"):
             matches = self._vote.matches(query.descriptors, near)
             return matches, self._vote.poses(query.scene, matches, near)
@@ -121,27 +120,29 @@ class TileSearch:
         near: Prior | None,
         times: StageTimes,
     ) -> Iterator[tuple[Tile, ...]]:
-        """Sets of tiles to search, one after another until the query is localized."""
+        """Yield sets of tiles to search until the query is localized."""
         searched: list[set[Tile]] = []
         for chosen in self._promising(query, found, near, times):
             if chosen and set(chosen) not in searched:
                 searched.append(set(chosen))
                 yield chosen
-        if 0 < len(tiles) <= MORE and set(tiles) not in searched:
+        if 0 < len(tiles) <= MAX_ALL and set(tiles) not in searched:
             yield tiles
 
     def _promising(
         self, query: Query, found: list[Candidate], near: Prior | None, times: StageTimes
     ) -> Iterator[tuple[Tile, ...]]:
-        """The tiles in which segments agree on poses: by their votes, then by all segments."""
+        """Yield tiles in which segments agree on poses: by votes, then by all segments."""
         voted = self._voted(found)
         best = max(voted.values(), default=0)
-        strong = [tile for tile, votes in voted.items() if not self._decides(best, votes)][:FEW]
+        strong = [tile for tile, votes in voted.items() if not self._decides(best, votes)][
+            :MAX_VOTED
+        ]
         typical = int(np.median([c.inliers for c in found])) if found else 0
         if len(strong) == 1 and self._decides(best, typical):
             yield tuple(strong)
         agree: dict[Tile, int] = {}
-        for some in (strong, list(voted)[:FEW]):
+        for some in (strong, list(voted)[:MAX_VOTED]):
             with times("tiles"):
                 for tile in some:
                     if tile not in agree:
@@ -149,24 +150,24 @@ class TileSearch:
             yield self._agreeing({tile: agree[tile] for tile in some})
 
     def _agreeing(self, agree: dict[Tile, int]) -> tuple[Tile, ...]:
-        """The tiles that segments do not decide against; none where they may agree by chance."""
+        """Return the tiles that segments do not rule out; none if they may agree by chance."""
         best = max(agree.values(), default=0)
         if not self._decides(best, 0):
             return ()
         return tuple(tile for tile, count in agree.items() if not self._decides(best, count))
 
     def _decides(self, inliers: int, elsewhere: int) -> bool:
-        """Whether segments would decide for a pose, against one that fits as well elsewhere."""
+        """Return whether segments decide for a pose, given the inliers of another one."""
         threshold = log_odds(self._coarse.config.verification.min_confidence)
         model = self._coarse.likelihood.model
         return model.margin(inliers, elsewhere) - model.unseen >= threshold
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
-        """The tiles of the poses on which most matches with the thin map agree, best first."""
+        """Return the tiles of the poses with most votes in the thin map, best first."""
         if not found:
             return {}
         index = self._tiles.index
-        sees_m = index.margin_m - self._coarse.config.local_cloud.radius_m  # beside a square, too
+        sees_m = index.margin_m - self._coarse.config.local_cloud.radius_m  # beside a square
         voted: dict[Tile, int] = {}
         owners = index.owners(np.stack([c.T_map_local[:3, 3] for c in found]))
         for own, candidate in zip(owners, found, strict=True):
@@ -177,7 +178,7 @@ class TileSearch:
         return voted
 
     def _agree(self, query: Query, tile: Tile, near: Prior | None) -> int:
-        """How many segments of a query agree on a pose in a tile, by all that the tile holds."""
+        """Return the inliers of a query in a tile, by all of its segments."""
         part, coarse = self._tiles.tile(tile), self._coarse
         config, pruner = coarse.config, coarse.descriptor.pruner
         matcher = Matcher(part, config.matching, pruner=pruner, threads=config.threads)
@@ -187,7 +188,7 @@ class TileSearch:
         return max((candidate.inliers for candidate in found), default=0)
 
     def _searching(self, tiles: tuple[Tile, ...], times: StageTimes) -> Localizer:
-        """A localizer in some tiles, kept among what the tiles were last used for."""
+        """Return a cached localizer in some tiles."""
         chosen = sorted(tiles, key=lambda tile: tile.cell)
         key = (self._settings, *(tile.file for tile in chosen))
 
@@ -210,7 +211,7 @@ _NONE = Matches(
 
 
 def _bytes(localizer: Localizer) -> int:
-    """About what a localizer takes: its map, and three times as much for looking up."""
+    """Estimate a localizer's memory: its map, and three times that for its indices."""
     return 4 * localizer.prior_map.memory_bytes
 
 
@@ -222,12 +223,12 @@ def _nowhere(matches: Matches, found: list[Candidate], near: Prior | None) -> Se
 
 
 class Recent:
-    """Keeps what was made: what was not asked for longest goes first. For any number of threads.
+    """Thread-safe cache that drops the least recently used.
 
     Parameters
     ----------
     most_bytes : int
-        So much is kept, and what was asked for last.
+        Maximum size, apart from the latest entry.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -240,7 +241,7 @@ class Recent:
 
     @property
     def bytes(self) -> int:
-        """Of all that is kept."""
+        """Total size of the entries."""
         with self._lock:
             return sum(size for _, size in self._kept.values())
 
@@ -251,7 +252,7 @@ class Recent:
         make: Callable[[], Value],
         size: Callable[[Value], int],
     ) -> Value:
-        """What is kept under a key, or else what is made then, of a kind and of so many bytes."""
+        """Return the entry of a key, or create it."""
         place = (kind, key)
         with self._lock:
             if place in self._kept:

@@ -1,4 +1,4 @@
-"""Where tiles lie: a folder, or whatever fsspec can open; with a bounded cache on the disk."""
+"""Storage of tiles: a folder, or a URL of fsspec, with a bounded cache on disk."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from .index import INDEX, MOST_INDEX_BYTES, TileFile, digest_of
 Answer = TypeVar("Answer")
 
 LEASE, WAIT_S, POLL_S = "writing.lease", 600.0, 0.2
-"""The file that says that somebody writes behind a URL, and how long others wait for it."""
+"""File that marks a writer at a URL, and how long other writers wait."""
 
 
 class Store(Protocol):
-    """A place with files side by side.
+    """Place of files.
 
     Attributes
     ----------
     where : str
-        As it was named.
+        Its path or URL.
     """
 
     where: str
 
     def read(self, name: str, most: int) -> bytes:
-        """A file of at most so many bytes; raises OSError."""
+        """Read a file of at most ``most`` bytes; raises OSError."""
         ...
 
     def write(self, name: str, data: bytes) -> None:
-        """A file, whole or not at all."""
+        """Write a file atomically."""
         ...
 
     def names(self) -> list[str]:
-        """Of all files."""
+        """List all files."""
         ...
 
     def remove(self, name: str) -> None:
-        """A file that nobody needs any more."""
+        """Remove a file."""
         ...
 
     def alone(self) -> AbstractContextManager[None]:
-        """Keep other writers out while the block reads and writes."""
+        """Exclude other writers in a ``with`` block."""
         ...
 
 
 class Folder:
-    """A folder on a disk."""
+    """Store in a folder on disk."""
 
     def __init__(self, where: str) -> None:
         self.where, self._path = where, Path(where)
@@ -83,7 +83,7 @@ class Folder:
 
 
 class Remote:
-    """What a URL names, by fsspec."""
+    """Store at a URL of fsspec."""
 
     def __init__(self, where: str) -> None:
         try:
@@ -117,7 +117,7 @@ class Remote:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """By a file that only one writer can make."""
+        """Exclude other writers by a lease file."""
         path, mine = f"{self._root}/{LEASE}", secrets.token_hex(8)
         with suppress(NotImplementedError):
             self._files.makedirs(self._root, exist_ok=True)
@@ -125,14 +125,14 @@ class Remote:
         while not self._leased(path, mine):
             if time.monotonic() > ends:
                 raise SeglocError(
-                    f"{self.where}: another writer has been at it for {WAIT_S:g} s: wait for it, "
-                    f"or remove {LEASE} if there is none"
+                    f"{self.where}: locked by another writer for {WAIT_S:g} s: wait for it, or "
+                    f"remove {LEASE} if there is none"
                 )
             time.sleep(POLL_S)
         try:
             yield
         finally:
-            with suppress(Exception):  # of whatever library fsspec has for the URL
+            with suppress(Exception):  # of any library behind fsspec
                 if self._files.cat_file(path) == mine.encode():
                     self._files.rm_file(path)
 
@@ -145,32 +145,32 @@ class Remote:
 
 
 def holds_tiles(where: str) -> bool:
-    """Whether a place is one of tiles, a folder or a URL, and no map file.
+    """Return whether a path or URL holds tiles, not a map file.
 
     Raises
     ------
     MapFormatError
-        If it is a folder of something else.
+        If it is a folder without tiles.
     """
     folder = Path(where)
     if "://" in where or not folder.is_dir():
         return "://" in where
     if not (folder / INDEX).exists():
         maps = sorted(path.name for path in folder.glob("*.segmap"))
-        listed = f"name one of its maps: {', '.join(maps[:5])}" if maps else "it holds no map"
-        raise MapFormatError(f"{where}: a folder without {INDEX}, so no map in tiles: {listed}")
+        listed = f"pass one of its maps: {', '.join(maps[:5])}" if maps else "it holds no maps"
+        raise MapFormatError(f"{where}: a folder without {INDEX}, so not a tiled map: {listed}")
     return True
 
 
 def store_of(where: str | Path) -> Store:
-    """The folder or the URL of that name.
+    """Return the store of a path or URL.
 
     Raises
     ------
     MissingDependency
         If it is a URL, and fsspec is not installed.
     SeglocError
-        If nothing can open such a URL.
+        If the URL cannot be opened.
     """
     text = str(where)
     if text.startswith("file://"):
@@ -179,17 +179,17 @@ def store_of(where: str | Path) -> Store:
 
 
 class Reader:
-    """Reads the files of a store, and refuses those that are not what the index says.
+    """Read the files of a store, and reject those that do not match the index.
 
     Parameters
     ----------
     store : Store
     cache : path, optional
-        A folder for copies of what was fetched; None: files of folders are read where they lie.
+        Folder for copies of remote files; None to read files in place.
     cache_bytes : int
-        So many bytes of copies are kept; those that were not used for longest go first.
+        Maximum size of the copies; the least recently used are removed first.
     timeout_s : float
-        A store that takes longer for a file has failed.
+        Maximum time for a file.
     """
 
     def __init__(
@@ -199,7 +199,7 @@ class Reader:
         self._cache_bytes, self._timeout_s = cache_bytes, timeout_s
 
     def index(self, name: str) -> bytes:
-        """The bytes of the index.
+        """Read the index.
 
         Raises
         ------
@@ -209,12 +209,12 @@ class Reader:
         return self._fetched(name, MOST_INDEX_BYTES)
 
     def tile(self, tile: TileFile) -> bytes:
-        """The bytes of a tile, from the cache or the store.
+        """Read a tile from the cache or the store.
 
         Raises
         ------
         MapFormatError
-            If the file is missing, takes too long, or is another than the index says; names it.
+            If the file is missing, takes too long, or does not match the index; names it.
         """
         copy = None if self._cache is None else self._cache / tile.file
         if copy is not None:
@@ -229,7 +229,7 @@ class Reader:
         return data
 
     def _checked(self, tile: TileFile) -> bytes:
-        """The bytes of a tile; what a store cuts short or breaks off is asked for once more."""
+        """Read a tile from the store, with one retry if it is incomplete."""
         for last in (False, True):
             try:
                 data = self._fetched(tile.file, tile.bytes)
@@ -240,7 +240,7 @@ class Reader:
             if len(data) == tile.bytes and digest_of(data) == tile.digest:
                 return data
         raise MapFormatError(
-            f"{self._store.where}/{tile.file}: damaged: it is not the file of the index"
+            f"{self._store.where}/{tile.file}: damaged: it does not match the index"
         )
 
     def _fetched(self, name: str, most: int) -> bytes:
@@ -251,12 +251,12 @@ class Reader:
             raise MapFormatError(f"{where}: no answer within {self._timeout_s:g} s") from error
         except FileNotFoundError as error:
             raise MapFormatError(f"{where}: no such file") from error
-        except Exception as error:  # of whatever library fsspec has for the URL
+        except Exception as error:  # of any library behind fsspec
             reason = " ".join(str(error).split()) or type(error).__name__
             raise MapFormatError(f"{where}: cannot be read: {reason}") from error
 
     def _keep(self, copy: Path, data: bytes) -> None:
-        """Put a copy into the cache; a full disk only costs the next query its copy."""
+        """Copy data into the cache; errors such as a full disk are ignored."""
         with suppress(OSError, SeglocError):
             copy.parent.mkdir(parents=True, exist_ok=True)
             with replacing(copy) as stream:
@@ -274,12 +274,12 @@ class Reader:
 
 
 def within(seconds: float, work: Callable[[], Answer]) -> Answer:
-    """What ``work`` returns or raises.
+    """Run ``work`` with a time limit.
 
     Raises
     ------
     TimeoutError
-        If it takes longer; it is then left to itself.
+        If it takes longer; its thread is abandoned.
     """
     answers: list[Answer] = []
     errors: list[BaseException] = []

@@ -1,4 +1,4 @@
-"""Tiles in a folder or bucket, opened: read when they are needed, and checked."""
+"""Tiled maps, read and checked on demand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from ..errors import MapFormatError, MapMismatch
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap, along, concatenated
-from .cut import chosen_rows
+from .cut import owned_rows
 from .index import INDEX, Tile, TileFile, TileIndex
 from .search import Recent, TileSearch
 from .store import Folder, Reader, store_of
@@ -23,28 +23,28 @@ MEMORY_BYTES = 1 << 27
 
 
 class TiledMap:
-    """A map in tiles, which :func:`cut_tiles` wrote.
+    """A map in tiles, as written by :func:`cut_tiles`.
 
     Parameters
     ----------
     where : path or URL
-        Of the folder of ``tiles.json``.
+        Folder of ``tiles.json``.
     cache : path, optional
-        A folder for copies of tiles behind a URL; by default below the user's cache. Tiles in a
-        folder are read where they lie.
+        Folder for copies of tiles behind a URL; by default in the user's cache. Local tiles are
+        read in place.
     cache_bytes : int
-        The copies take so many bytes at most, and one tile.
+        Maximum size of the copies, apart from one tile.
     memory_bytes : int
-        Tiles, and what searches several of them, take about so many in memory, and the last one.
+        Approximate memory of tiles and their localizers, apart from the latest one.
     timeout_s : float
-        A file that takes longer to come has failed.
+        Maximum time for a file [s].
 
     Attributes
     ----------
     index : TileIndex
     where : str
     recent : Recent
-        Tiles, and what searches them, that were used last.
+        Tiles and localizers used last.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class TiledMap:
 
     Notes
     -----
-    Any number of threads may use it at once.
+    Thread-safe.
     """
 
     def __init__(
@@ -71,12 +71,12 @@ class TiledMap:
         copies = None if isinstance(store, Folder) else Path(cache or _users_cache(store.where))
         self.where = store.where
         self._reader = Reader(store, copies, cache_bytes, timeout_s)
-        self.index = TileIndex.parsed(self._reader.index(INDEX), f"{store.where}/{INDEX}")
+        self.index = TileIndex.parse(self._reader.index(INDEX), f"{store.where}/{INDEX}")
         self.recent = Recent(memory_bytes)
         self._opened_by = where, cache, cache_bytes, memory_bytes, timeout_s
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled by where it lies, and opened anew: so it goes to other processes."""
+        """Pickle the location, to be reopened in another process."""
         return _reopened, self._opened_by
 
     def __len__(self) -> int:
@@ -86,11 +86,11 @@ class TiledMap:
         return f"TiledMap({self.where!r}, {len(self)} tiles)"
 
     def coarse(self) -> SegmentMap:
-        """The thin map of all tiles: no cloud, and the whole path."""
+        """Return the thin map of all tiles, with the whole trajectory and no cloud."""
         return self._loaded(self.index.coarse)
 
     def tile(self, tile: Tile) -> SegmentMap:
-        """One tile.
+        """Return one tile.
 
         Raises
         ------
@@ -102,16 +102,16 @@ class TiledMap:
         )
 
     def search(self, coarse: Localizer) -> TileSearch:
-        """The search in tiles, for :class:`segloc.Localizer`."""
+        """Return the search in tiles for :class:`segloc.Localizer`."""
         return TileSearch(self, coarse)
 
     def together(self, tiles: Sequence[Tile]) -> SegmentMap:
-        """Some tiles as one map; what several of them hold is in it once.
+        """Return some tiles as one map, without repetitions.
 
         Raises
         ------
         MapFormatError
-            If one of them cannot be had; names its file.
+            If a tile is unavailable; names its file.
         """
         if len(tiles) == 1:
             return self.tile(tiles[0])
@@ -120,10 +120,10 @@ class TiledMap:
             part = self.tile(tile)
             others = [other for other in tiles if other.cell != tile.cell]
             points = part.cloud[:, :2] + part.origin[:2]
-            rows = chosen_rows(part.centroids, tile, others, self.index)
-            kept = part.kept(rows, chosen_rows(points, tile, others, self.index))
+            rows = owned_rows(part.centroids, tile, others, self.index)
+            kept = part.kept(rows, owned_rows(points, tile, others, self.index))
             path = part.trajectory
-            own = chosen_rows(path[:, :3, 3], tile, others, self.index)
+            own = owned_rows(path[:, :3, 3], tile, others, self.index)
             parts.append(along(kept, path[own]))
         return concatenated(parts, apart=True)
 
@@ -141,7 +141,7 @@ class TiledMap:
             self.index.descriptor,
             self.index.fingerprint,
         ):
-            raise MapMismatch(f"{where}: made by another descriptor than the index says")
+            raise MapMismatch(f"{where}: its descriptor differs from the index")
         return loaded
 
 
@@ -162,7 +162,7 @@ def _reopened(
 
 
 def _users_cache(where: str) -> Path:
-    """A folder for copies of what a URL names."""
+    """Return the default folder for copies of a URL's files."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     digest = hashlib.blake2b(where.encode(), digest_size=8).hexdigest()
     return Path(base) / "segloc" / "tiles" / digest

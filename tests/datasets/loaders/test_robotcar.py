@@ -99,7 +99,7 @@ def test_visual_odometry_chains_relative_poses(tmp_path: Path) -> None:
     file.write_text("\n".join([*lines[:10], *lines[12:]]))
     unposed = opened(path)
     assert unposed.poses is None
-    assert any("vo.csv: row 10 does not go on where the last" in note for note in unposed.notes)
+    assert any("vo.csv: row 10 does not start where the last" in note for note in unposed.notes)
 
 
 def test_poses_before_the_ins_is_aligned_are_not_used(tmp_path: Path) -> None:

@@ -133,7 +133,7 @@ def test_an_imu_whose_place_is_not_known(tmp_path: Path) -> None:
         bag.imu("/other", time, 9.81 * Z, "there")
         bag.imu("/imu", time, 9.81 * Z) if time > START else None
     sequence = opened(bag, tmp_path / "aligned")
-    message = "/other: nothing says how 'there' is turned against 'lidar': taken as aligned"
+    message = "/other: no transform lidar -> there in the bag: assumed aligned"
     assert sequence.notes == (message,)
     np.testing.assert_allclose(sequence.scan(1).gravity, -Z, atol=1e-9)
     over = bag_of("sqlite3", placed=False)

@@ -126,16 +126,16 @@ def test_topics(kind: str, tmp_path: Path) -> None:
     bag = clouds(clouds(BagWriter(kind), "/front", "front"), "/rear", "rear")
     bag.odometry("/odom", START, np.eye(4), "base")
     path = bag.write(tmp_path / "drive")
-    several = r"several topics, choose one by --topic: /front \(8\), /rear \(8\)"
+    several = r"several topics, choose one with --topic: /front \(8\), /rear \(8\)"
     with pytest.raises(DatasetError, match=several):
         opened(path)
     assert opened(path, topic="/rear").frame == "rear"
-    with pytest.raises(DatasetError, match=r"'/odom' is no topic of scans: /front \(8\)"):
+    with pytest.raises(DatasetError, match=r"no scans on '/odom'; available: /front \(8\)"):
         opened(path, topic="/odom")
     other = BagWriter(kind)
     other.odometry("/odom", START, np.eye(4), "base")
     path = other.write(tmp_path / "other")
-    with pytest.raises(DatasetError, match=r"no topic of scans, only /odom \(nav_msgs/msg/O"):
+    with pytest.raises(DatasetError, match=r"no topic of scans; topics: /odom \(nav_msgs/msg/O"):
         opened(path)
 
 
@@ -266,12 +266,12 @@ def test_stamps_that_are_missing_or_do_not_rise(tmp_path: Path) -> None:
     sequence = opened(bag.write(tmp_path / "back"))
     assert sequence.stamps is not None
     np.testing.assert_allclose(sequence.stamps - START, [0.0, 0.1, 0.3, 0.5], atol=1e-6)
-    assert sequence.notes == ("2 of 6 messages left out: stamps do not rise",)
+    assert sequence.notes == ("2 of 6 messages dropped: stamps do not rise",)
     bag = BagWriter("ros1", late_s=START)
     for k in range(3):
         bag.cloud("/points", 0.0, DRIVE.seen(k))
     sequence = opened(bag.write(tmp_path / "zero"))
-    assert sequence.notes == ("/points has no stamps: times are those of recording",)
+    assert sequence.notes == ("/points has no stamps: using log times",)
     np.testing.assert_allclose(sequence.scan(2).points, DRIVE.seen(2), atol=1e-5)  # same time
 
 

@@ -27,7 +27,7 @@ BENCHMARKS = {
     "stream_os1_128": "stream",
     "stream_vlp16": "stream",
 }
-"""Modules of ``segloc_lab.bench`` by the name of their benchmark."""
+"""Modules of ``segloc_lab.bench`` by benchmark."""
 
 
 def benchmark(name: str) -> Callable[[int, int], Row]:
@@ -39,10 +39,10 @@ def benchmark(name: str) -> Callable[[int, int], Row]:
 
 
 def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[Row]:
-    """Run benchmarks one after another, each in a process of its own."""
+    """Run benchmarks one after another, each in its own process."""
     for name in names:
         if name not in BENCHMARKS:
-            raise ConfigError(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
+            raise ConfigError(f"no benchmark {name!r}; available: {', '.join(BENCHMARKS)}")
     from ..bench.harness import in_process
 
     if repeats < 1 or min(threads, default=0) < 1:
@@ -57,16 +57,16 @@ def bench(
         str | None, typer.Option(metavar="NAME,...", help="Only these benchmarks.")
     ] = None,
     threads: Annotated[
-        str, typer.Option(metavar="N,...", help="Each benchmark runs once with each number.")
+        str, typer.Option(metavar="N,...", help="Numbers of threads to run with.")
     ] = "1,2",
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of which the median is taken.")] = 9,
+    repeats: Annotated[int, typer.Option(min=1, help="Number of runs; the median counts.")] = 9,
     report: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
     ] = None,
 ) -> None:
-    """Time the engine against other software, in turns, and against the processor's own limits.
+    """Compare the engine's speed with other software, and with the processor's limits.
 
-    Rivals that are not installed are left out; segloc-lab[bench] brings them.
+    Other software that is not installed is skipped; segloc-lab[bench] installs it.
     """
     import os
 
@@ -108,7 +108,7 @@ def _numbers(text: str) -> list[int]:
     try:
         return [int(part) for part in text.split(",")]
     except ValueError as error:
-        raise ConfigError(f"--threads must be numbers joined by commas, not {text!r}") from error
+        raise ConfigError(f"--threads expects numbers separated by commas, not {text!r}") from error
 
 
 def _show(rows: list[Row], title: str) -> None:

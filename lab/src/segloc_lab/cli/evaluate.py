@@ -1,4 +1,4 @@
-"""``segloc evaluate``: the studies of the paper, and two recordings of the user."""
+"""``segloc evaluate``: the studies of the paper, and comparisons on own recordings."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ QuerySelect = Annotated[
 Topic = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", help="Which of several topics or sensors.", show_default="the only one"
+        metavar="NAME", help="Topic or sensor, if there are several.", show_default="the only one"
     ),
 ]
 Every = Annotated[float, typer.Option(metavar="METRES", help="Distance between queries.")]
 
 app = group(
     "Repeat the studies of the paper, or compare the methods on two recordings. Results are stored "
-    "in DIR as they are finished; an interrupted run resumes. DIR/STUDY/REPORT.md shows them.",
+    "in DIR as they finish; an interrupted run resumes. DIR/STUDY/REPORT.md shows them.",
 )
 
 
@@ -91,7 +91,7 @@ def own_pair(
     topic: str | None,
     every: float,
 ) -> Pair:
-    """Two recordings, with the pose files that lie in them where none are named."""
+    """Return two recordings, with the pose files in their folders by default."""
     from segloc.cli.options import check_every
 
     from ..evaluation.scenario import Pair
@@ -112,7 +112,7 @@ def _lying_in(folder: Path, name: Path) -> Path | None:
 
 @contextmanager
 def on_cluster(address: str | None) -> Iterator[Executor | None]:
-    """What does tasks on a cluster; None without an address."""
+    """Connect to a cluster; None without an address."""
     from segloc.system.processes import executing
 
     with executing(1, address) as executor:
@@ -143,22 +143,22 @@ def compare_on(
 
 
 def chosen(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
-    """The names in a list that is joined by commas."""
+    """Split a list of names separated by commas."""
     if given is None:
         return None
     names = tuple(name.strip() for name in given.split(","))
     if not all(names):
-        raise ConfigError(f"{option} {given!r}: a name is empty")
+        raise ConfigError(f"{option} {given!r}: empty name")
     return names
 
 
 def command_line() -> str:
-    """What was typed, to be printed beside its results."""
+    """Return the command line, to be printed beside its results."""
     return shlex.join(["segloc", *sys.argv[1:]])
 
 
 def show(study: Study, out: Path) -> None:
-    """Print the tables that fit on a screen, and where the study is stored."""
+    """Print the tables that fit a screen, and where the study is stored."""
     from ..evaluation.study import LONG_ROWS
 
     for table in study.tables:
@@ -193,10 +193,10 @@ def kitti_paper(
     ] = False,
     report: Report = None,
 ) -> None:
-    """The paper's own protocol on KITTI 00, with and without our verification. (Table II)
+    """Repeat the paper's protocol on KITTI 00, with and without our verification. (Table II)
 
     Everything before the last 1300 m is mapped, and a cloud every 9.7 m of the rest is localized.
-    K is chosen for each method at other places, and so is the number of inliers that is believed.
+    K and the minimum number of inliers are chosen for each method at other places.
     """
     from ..report import publish, require_new
     from ..studies.kitti_paper import counts, differences
@@ -223,7 +223,7 @@ def _measured(
     from ..studies.kitti_paper import DRAWS, answers_of
 
     if kitti is None:
-        raise ConfigError("which recording is to be localized? --kitti DATA")
+        raise ConfigError("no recording: pass --kitti DATA")
     if not (kitti / "keyframes").is_dir():
         raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
     asked = ready(chosen(methods))
@@ -233,14 +233,14 @@ def _measured(
 
 
 _EXPLAINED = {
-    "roc": "How well does each descriptor tell objects apart? (Fig. 5)",
-    "generalization": "The same in a place of another kind than it was trained on. (Table I)",
-    "rotation": "Does a descriptor change when its segment is turned? (Fig. 6)\n\n"
+    "roc": "Measure how well each descriptor separates objects. (Fig. 5)",
+    "generalization": "Measure the same at a kind of place absent from training. (Table I)",
+    "rotation": "Measure how much descriptors change when segments are turned. (Fig. 6)\n\n"
     "Trains networks: about 20 minutes on two idle cores at the small scale.",
-    "sampling": "What does farthest-point sampling cost, and what does it improve?\n\n"
+    "sampling": "Measure cost and benefit of farthest-point sampling.\n\n"
     "Trains networks, if they are not stored yet.",
-    "timing": "How long does a query take, and where does the time go? (Table III)",
-    "memory": "How much memory does training take?",
+    "timing": "Measure the time of a query, stage by stage. (Table III)",
+    "memory": "Measure the memory of training.",
     "all": "Run all studies, one after the other.\n\n"
     "About half an hour on two idle cores at the small scale, 90 minutes at the full scale.",
 }
@@ -289,10 +289,10 @@ def _add(group: typer.Typer, name: str) -> None:
 
 def localization(
     mapped: Annotated[
-        Path | None, typer.Argument(metavar="[MAP", help="Your own recording to map.")
+        Path | None, typer.Argument(metavar="[MAP", help="Own recording to map.")
     ] = None,
     query: Annotated[
-        Path | None, typer.Argument(metavar="QUERY]", help="And one to localize in that map.")
+        Path | None, typer.Argument(metavar="QUERY]", help="Own recording to localize in that map.")
     ] = None,
     out: Out = OUT,
     suite: Suite = "six",
@@ -313,9 +313,9 @@ def localization(
     every: Every = 10.0,
     report: Report = None,
 ) -> None:
-    """How many queries does each method localize, and how many of them falsely? (Table II)
+    """Compare how many queries each method localizes, correctly and falsely. (Table II)
 
-    On two recordings of your own, or without any on the places of the paper.
+    On two own recordings, or by default on the places of the paper.
     """
     if mapped is None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
@@ -324,7 +324,7 @@ def localization(
             _run("localization", replace(workspace, only=only), report)
         return
     if query is None:
-        raise ConfigError("give two recordings, one to map and one to localize in it")
+        raise ConfigError("pass two recordings, one to map and one to localize in it")
     files = (map_poses, poses, truth, map_select, select, topic)
     compare_on(own_pair(mapped, query, *files, every), out, methods, threads, workers, cluster)
 
@@ -366,7 +366,7 @@ def _run(study: str, workspace: Workspace, report: Path | None) -> None:
 
 
 def _run_all(workspace: Workspace) -> Iterator[Study]:
-    """Run every study; one whose packages are missing is left out with a remark."""
+    """Run every study; skip those with missing packages, with a remark."""
     from ..studies.paper import workspace as studies
 
     for name in studies.STUDIES:
@@ -374,11 +374,11 @@ def _run_all(workspace: Workspace) -> Iterator[Study]:
         try:
             yield studies.run(name, workspace)
         except MissingDependency as error:
-            note(f"{name} is left out: {error}")
+            note(f"{name} skipped: {error}")
 
 
 def _publish(folder: Path, found: list[Study]) -> None:
-    """Write the tables that were measured; published figures are left out."""
+    """Write the measured tables, without published figures."""
     from ..report import Table, write
 
     tables = [

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def register(app: typer.Typer) -> None:
-    """Add the verb to a command line."""
+    """Add the verb to the command line."""
     app.command("failures")(failures)
 
 
@@ -32,7 +32,7 @@ def failures(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     truth: Annotated[Path, typer.Option(metavar="FILE", help="True poses in the map's frame.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")],
     poses: Poses = None,
     select: Select = None,
     every: Every = None,
@@ -45,7 +45,7 @@ def failures(
 ) -> None:
     """Show at which stage each query within map coverage was lost.
 
-    Writes funnel.json, and a picture of each of the failures that the map explains best.
+    Writes funnel.json, and pictures of the failures that the map should have prevented.
     """
     import json
 
@@ -71,7 +71,7 @@ def failures(
     positions = np.flatnonzero(np.isfinite(truths[:, 0, 0]))
     if every is not None:
         positions = query_positions(truths, every, localizer.config.local_cloud.max_gap_m)
-    with busy("Looking where queries are lost"):
+    with busy("Examining lost queries"):
         found = funnel(localizer, QuerySet(recording, positions, truths[positions]))
     show(found)
     out.mkdir(parents=True, exist_ok=True)
@@ -87,7 +87,7 @@ def failures(
 
 
 def show(found: Funnel) -> None:
-    """Print a funnel as one table."""
+    """Print a funnel as a table."""
     from segloc.cli.console import table
 
     rows = [("queries", str(found.queries)), ("within map coverage", str(len(found.cases)))]

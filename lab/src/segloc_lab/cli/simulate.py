@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("npy", "npz", "laz", "bin", "pcd", "ply")
 SEASONS = {"summer": 1.0, "autumn": 0.5, "winter": 0.0, "spring": 0.7}
-"""Share of leaves; where none is named, later sessions go through them in turn."""
+"""Share of leaves; by default, later sessions cycle through the seasons."""
 
 _OF_SUITES = {"suite", "scale", "out", "seed", "file_format", "workers"}
 
@@ -32,9 +32,7 @@ Scene = Annotated[
         show_default="none: --suite",
     ),
 ]
-Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="Folder of the recordings.", show_default=False)
-]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.", show_default=False)]
 Suite = Annotated[
     str | None,
     typer.Option(
@@ -51,14 +49,14 @@ Platform = Annotated[
     typer.Option(
         metavar="NAME",
         help="car, wheeled, legged, quadruped, carried, handheld or drone.",
-        show_default="as the scene needs",
+        show_default="by scene",
     ),
 ]
 Tilt = Annotated[
     tuple[float, float],
     typer.Option(metavar="DEGREES DEGREES", help="Roll and pitch of the sensor on its platform."),
 ]
-Skew = Annotated[bool, typer.Option(help="Let the sensor move while it scans.")]
+Skew = Annotated[bool, typer.Option(help="Move the sensor during a scan.")]
 Sessions = Annotated[
     int,
     typer.Option(
@@ -71,12 +69,12 @@ Spacing = Annotated[
     typer.Option(
         metavar="METRES",
         help="Distance between scans.",
-        show_default="2, or 0.2 for one that sweeps",
+        show_default="2, or 0.2 for push-broom sensors",
     ),
 ]
 Size = Annotated[
     float | None,
-    typer.Option(metavar="METRES", help="Side of the world.", show_default="as the scene has it"),
+    typer.Option(metavar="METRES", help="Side of the world.", show_default="by scene"),
 ]
 Storey = Annotated[
     int, typer.Option(min=0, metavar="NUMBER", help="Storey of a building to drive through.")
@@ -95,7 +93,7 @@ Foliage = Annotated[
     typer.Option(
         metavar="SHARE",
         help="Leaves left in later sessions, 0 to 1.",
-        show_default="as the season has it",
+        show_default="by season",
     ),
 ]
 Replaced = Annotated[
@@ -112,7 +110,7 @@ Swathe = Annotated[
     typer.Option(
         metavar="METRES",
         help="Accumulate the sweeps of a push-broom LiDAR over this distance.",
-        show_default="they stay apart",
+        show_default="not accumulated",
     ),
 ]
 FileFormat = Annotated[
@@ -124,9 +122,7 @@ FileFormat = Annotated[
         show_default="npy, or npz with times",
     ),
 ]
-Objects = Annotated[
-    bool, typer.Option("--objects", help="Also write which object each point lies on.")
-]
+Objects = Annotated[bool, typer.Option("--objects", help="Also write the object id of each point.")]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Ray-casting processes.")]
 
 
@@ -159,8 +155,8 @@ def simulate(
     """Record drives through a simulated world: folders of scans with exact poses.
 
     Writes DIR/session_0 and so on, each with poses.tum (the truth) and odometry.tum, and
-    DIR/scene.json. Session 0 is the one to map; later ones come back in other lanes and
-    directions, leave the map, and find other cars, other seasons and some things replaced.
+    DIR/scene.json. Session 0 is the one to map; later ones return in other lanes and directions,
+    leave the map, and find other cars, other seasons and some objects replaced.
     """
     from segloc.cli.results import check_folder
 
@@ -169,7 +165,7 @@ def simulate(
         _check(FORMATS, file_format, "--format")
     suffix = f".{file_format}" if file_format else None
     if (scene is None) == (suite is None):
-        raise ConfigError("name either a scene or, with --suite, a suite of test sets")
+        raise ConfigError("pass either a scene or, with --suite, a suite of test sets")
     if suite is not None:
         _refuse_what_suites_fix(context)
         _write_suite(suite, scale, seed, out, suffix, workers)
@@ -177,7 +173,7 @@ def simulate(
     assert scene is not None
     for wanted, name in ((objects, "--objects"), (skew, "--skew")):
         if wanted and swathe is not None:
-            raise ConfigError(f"{name} goes with single scans, not with --swathe")
+            raise ConfigError(f"{name} needs single scans: omit --swathe")
     order = _Order(
         scene, size, seed, storey, sensor, thin, platform, tilt, skew, length, spacing, swathe
     )
@@ -194,7 +190,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Order:
-    """What is to be simulated, as ``scene.json`` records it."""
+    """Parameters of a simulation, as stored in ``scene.json``."""
 
     scene: str
     size_m: float | None
@@ -224,17 +220,17 @@ def _refuse_what_suites_fix(context: typer.Context) -> None:
     for parameter in context.command.params:
         source = context.get_parameter_source(str(parameter.name))
         if parameter.name not in _OF_SUITES and source is not None and source.name == "COMMANDLINE":
-            raise ConfigError(f"{parameter.opts[0]} cannot be chosen with --suite")
+            raise ConfigError(f"{parameter.opts[0]} is fixed by --suite: omit one of them")
 
 
 def _plan(
     sessions: int, season: str | None, foliage: float | None, replaced: float, scaffolding: float
 ) -> list[Conditions]:
-    """The conditions of each session: summer for the first, what is asked for after it."""
+    """Return the conditions of each session: summer for the first, then as requested."""
     from ..simulation import Conditions
 
     if season is not None and foliage is not None:
-        raise ConfigError("give --season or --foliage, not both")
+        raise ConfigError("--season and --foliage exclude each other")
     names = list(SEASONS) if season is None else [season]
     leaves = [_choice(SEASONS, name, "--season") if foliage is None else foliage for name in names]
     later = [Conditions(share, replaced, scaffolding) for share in leaves]
@@ -246,7 +242,7 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
 
     from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
 
-    if not 0 < order.length_m < float("inf"):  # before a world is built
+    if not 0 < order.length_m < float("inf"):  # checked before a world is built
         raise ConfigError(f"--length must be a positive number of metres, not {order.length_m}")
     make = _choice(SCENES, order.scene, "the scene")
     lidar = _choice(SENSORS, order.sensor, "--sensor")().thinned(order.thin)
@@ -255,7 +251,7 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
         carrier = _choice(PLATFORMS, order.platform, "--platform")()
         carrier = replace(carrier, mount_rpy_deg=(*order.tilt_deg, 0.0))
     elif any(order.tilt_deg):
-        raise ConfigError("--tilt goes with --platform: it is of the sensor on what carries it")
+        raise ConfigError("--tilt needs --platform: it is the sensor's tilt on its platform")
     spacing = order.spacing_m
     if spacing is None:
         spacing = 0.2 if isinstance(lidar, LineLidar) else 2.0
@@ -302,7 +298,7 @@ def _described(drive: SimulatedSequence, scans: int) -> dict[str, Any]:
 
 
 def _kinds(drives: list[SimulatedSequence]) -> dict[str, str]:
-    """What every object id of the sessions stands for."""
+    """Return the kind of every object id of the sessions."""
     from ..simulation.objects.mesh import GROUND_ID
 
     found = {GROUND_ID: "ground"}
@@ -320,7 +316,7 @@ def _write_suite(
 
     sets = _choice(SUITES, name, "--suite")
     for test in sets:
-        test.session_length_m(scale)  # refuses an unknown scale before the work
+        test.session_length_m(scale)  # rejects an unknown scale before the work
     for test in sets:
         recordings = test.sessions(scale, seed=seed)
         for session, recording in recordings.items():

@@ -1,4 +1,4 @@
-"""``segloc train``: datasets, networks, and how good they are."""
+"""``segloc train``: make datasets, train networks, and score them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Lengths = Annotated[
     typer.Option(
         "--length",
         metavar="METRES",
-        help="Path length of a local cloud; 0: single scans.",
+        help="Length of a local cloud along the trajectory; 0: single scans.",
         show_default="40, 16 and 0",
     ),
 ]
@@ -46,7 +46,7 @@ Thin = Annotated[
 Workers = Annotated[
     int,
     typer.Option(
-        min=1, metavar="COUNT", help="Processes; recordings need --no-register for several."
+        min=1, metavar="COUNT", help="Processes; with recordings more than one needs --no-register."
     ),
 ]
 
@@ -73,7 +73,7 @@ Sensors = Annotated[
     typer.Option(
         metavar="NAME,...",
         help="Simulated sensors to choose from.",
-        show_default="the usual ones",
+        show_default="common ones",
     ),
 ]
 
@@ -107,8 +107,8 @@ def extract(
 ) -> None:
     """Cut recordings or simulated worlds into labelled segments.
 
-    The sequences of one call are sessions of one place and share a frame; calls add up. What is
-    finished stays: a call that was cut off goes on when it is given again.
+    The sequences of one call are sessions of one place and share a frame. Repeated calls append; an
+    interrupted run resumes.
     """
     from segloc.cli.console import note
     from segloc.config import validated
@@ -118,7 +118,7 @@ def extract(
     from ..training.shards import finish
 
     if bool(sequences) == (simulate is not None):
-        raise ConfigError("name recordings, or worlds to --simulate, and not both")
+        raise ConfigError("pass recordings, or worlds to --simulate, and not both")
     lengths = tuple(length) if length else ExtractConfig().lengths_m
     rule = {"rule": "centroids" if centroids_only else "extents"}
     values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
@@ -133,7 +133,7 @@ def extract(
         means = (1 if alone else workers, cluster)
         done = named.collect(out.absolute(), settings, register, config, *means)
     if not done:
-        note("nothing was extracted")
+        note("nothing extracted")
         return
     _show(finish(out, done, settings.label), str(out))
 
@@ -162,7 +162,7 @@ def _simulate(
 
 
 class _Recordings:
-    """The recordings that a command line names."""
+    """Recordings of a command line."""
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class _Recordings:
         from segloc.errors import ConfigError
 
         if "--" in place or "/" in place or not place:
-            raise ConfigError(f"{place!r} cannot be the name of a place")
+            raise ConfigError(f"{place!r} is not a valid name of a place")
         count = len(sequences)
         self.rows = list(
             zip(
@@ -231,13 +231,13 @@ def _show(counts: LabelCounts, title: str) -> None:
         ("segments", f"{counts.segments:,}"),
         ("objects", f"{counts.objects:,}"),
         ("objects with several views", f"{counts.seen_again:,}"),
-        ("views of each of those", number(counts.views)),
+        ("views per such object", number(counts.views)),
         ("matching pairs", f"{counts.matching:,}"),
         ("matching pairs across sessions", f"{counts.matching_across:,}"),
-        ("pairs that differ", f"{counts.different:,}"),
+        ("different pairs", f"{counts.different:,}"),
     ]
     if counts.agreeing == counts.agreeing:
-        rows.append(("of the pairs across, truly one object", f"{100 * counts.agreeing:.1f} %"))
+        rows.append(("across sessions, truly one object", f"{100 * counts.agreeing:.1f} %"))
     table(title, ("", ""), rows)
 
 
@@ -245,14 +245,14 @@ def pairs(
     sequences: Annotated[
         list[Path], typer.Argument(metavar="SEQUENCE", help="Sessions in the order of `align`.")
     ],
-    aligned: Annotated[Path, typer.Option(metavar="DIR", help="Folder that `align` wrote.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset to write.")],
+    aligned: Annotated[Path, typer.Option(metavar="DIR", help="Output folder of `align`.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder of the dataset.")],
     select: SelectOfEach = None,
     method: Method = None,
     topic: Topic = None,
     config: ConfigFile = None,
 ) -> None:
-    """Cut aligned sessions into labelled segments to train on, and list pairs of them.
+    """Cut aligned sessions into labelled segments for training, and list pairs of them.
 
     Writes a dataset and DIR/pairs.csv: matching and different segments with their distances.
     """
@@ -283,14 +283,14 @@ def pairs(
 
 
 def _sessions(aligned: Path, count: int) -> list[dict[str, Any]]:
-    """The sessions that ``align`` listed."""
+    """Return the sessions listed by ``align``."""
     path = aligned / "alignment.json"
     try:
         sessions: list[dict[str, Any]] = json.loads(path.read_text("utf-8"))["sessions"]
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(f"{path}: not written by `segloc align` ({error})") from error
     if len(sessions) != count:
-        raise DatasetError(f"{path}: {len(sessions)} sessions were aligned, but {count} are given")
+        raise DatasetError(f"{path}: lists {len(sessions)} sessions, but {count} are given")
     return sessions
 
 
@@ -299,10 +299,10 @@ Commit = Annotated[
     typer.Option(
         metavar="HASH",
         help="Commit of the training sources; stored in the file.",
-        show_default="not said",
+        show_default="none",
     ),
 ]
-Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="What `train extract` wrote.")]
+Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of `train extract`.")]
 train = group("Make datasets, train descriptors, score them.")
 
 
@@ -320,22 +320,20 @@ def score(
         list[Path] | None,
         typer.Option(
             metavar="DATASET",
-            help="Datasets of other worlds that fill the pool.",
+            help="Datasets of other worlds that enlarge the pool.",
             show_default="none",
         ),
     ] = None,
     pool: Annotated[
         list[int] | None,
-        typer.Option(
-            min=1, metavar="COUNT", help="Segments in the pool.", show_default="all there are"
-        ),
+        typer.Option(min=1, metavar="COUNT", help="Segments in the pool.", show_default="all"),
     ] = None,
     threads: Annotated[
         int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
     ] = 1,
     seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
 ) -> None:
-    """Score a descriptor: ROC area, and recall of each session's segments among the others."""
+    """Score a descriptor: ROC area, and recall of segments across sessions."""
     from segloc.cli.console import busy, note, table
 
     from ..training.metrics import KS, load_descriptor, score_descriptor
@@ -352,7 +350,7 @@ def score(
             threads=threads,
         )
     if not report.queries:
-        note(f"{dataset}: no recall: it needs objects of two sessions")
+        note(f"{dataset}: no recall, which needs objects in two sessions")
     rows = [
         (f"{size:,}", *(f"{recall:.4f}" if report.queries else "-" for recall in found))
         for size, found in report.recalls
@@ -364,10 +362,10 @@ def score(
 @train.command("forest")
 def forest(
     method: Annotated[
-        str, typer.Argument(metavar="METHOD", help="The method whose candidates it prunes.")
+        str, typer.Argument(metavar="METHOD", help="Method whose candidates it prunes.")
     ],
     dataset: Dataset,
-    out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="The result.")],
+    out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="Output file.")],
     threads: Annotated[
         int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
     ] = 1,
@@ -388,8 +386,8 @@ def forest(
     config = ForestConfig(seed=seed, threads=threads)
     found = train_forest(load_dataset(dataset), out, method, config, card, say)
     typer.echo(
-        f"{out}: auc {found.auc:.4f}; kept of the right {found.right_kept:.4f}, "
-        f"of the wrong {found.wrong_kept:.4f}"
+        f"{out}: auc {found.auc:.4f}; kept {found.right_kept:.4f} of the correct and "
+        f"{found.wrong_kept:.4f} of the wrong candidates"
     )
 
 
@@ -410,7 +408,7 @@ _EXPLAINED = {
 def _add(network: str, help_text: str) -> None:
     def command(
         dataset: Dataset,
-        out: Annotated[Path, typer.Option(metavar="WEIGHTS.safetensors", help="The result.")],
+        out: Annotated[Path, typer.Option(metavar="WEIGHTS.safetensors", help="Output file.")],
         config: Annotated[
             Path | None,
             typer.Option(
@@ -429,7 +427,7 @@ def _add(network: str, help_text: str) -> None:
         ] = None,
         threads: Annotated[
             int | None,
-            typer.Option(min=1, metavar="COUNT", help="Threads of PyTorch.", show_default="1"),
+            typer.Option(min=1, metavar="COUNT", help="PyTorch threads.", show_default="1"),
         ] = None,
         device: Annotated[
             str | None, typer.Option(metavar="NAME", help="cpu or cuda.", show_default="cpu")

@@ -1,4 +1,4 @@
-"""Localizing the queries of a scenario by several methods at once: each cloud is segmented once."""
+"""Localize the queries of a scenario by several methods; each cloud is segmented once."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ METHODS = (
     "geo",
     "profile",
 )
-"""Those of the paper by year, and ours."""
+"""Methods of the paper by year, then ours."""
 
 
 def published_estimator(method: str) -> str:
-    """What a method of the paper recognises places by: ``pose.estimator`` of its publication."""
+    """Return ``pose.estimator`` of a method's publication."""
     return "geometric_consistency" if method.startswith("segmatch-") else "prosac"
 
 
@@ -49,9 +49,9 @@ class Methods:
     Attributes
     ----------
     fingerprints : dict of str to str
-        Of descriptor, weights, and forest or FC4, by the name of each method that is ready.
+        Of descriptor, weights, and forest or FC4, by the name of each available method.
     left_out : dict of str to str
-        Why the others are not.
+        Why the other methods are missing.
     """
 
     fingerprints: dict[str, str]
@@ -59,11 +59,11 @@ class Methods:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of those that are ready."""
+        """Names of the available methods."""
         return tuple(self.fingerprints)
 
     def note(self) -> str:
-        """The methods that are left out and why, in one sentence; empty if there are none."""
+        """Describe the missing methods in one sentence; "" if there are none."""
         if not self.left_out:
             return ""
         parts = "; ".join(f"{name} ({why})" for name, why in self.left_out.items())
@@ -71,11 +71,11 @@ class Methods:
 
 
 def ready(names: tuple[str, ...] | None = None) -> Methods:
-    """Which of the methods (:data:`METHODS` where none are named) have their weights."""
+    """Return which methods (by default :data:`METHODS`) have their weights."""
     chosen = METHODS if names is None else names
     for name in chosen:
         if name not in available():
-            raise ConfigError(f"no method {name!r}; there are {', '.join(available())}")
+            raise ConfigError(f"no method {name!r}; available: {', '.join(available())}")
     fingerprints, left_out = {}, {}
     for name in dict.fromkeys(chosen):
         try:
@@ -83,17 +83,17 @@ def ready(names: tuple[str, ...] | None = None) -> Methods:
         except WeightsError as error:
             left_out[name] = str(error)
     if not fingerprints:
-        raise ConfigError(f"none of {', '.join(chosen)} has its weights")
+        raise ConfigError(f"no weights for {', '.join(chosen)}")
     return Methods(fingerprints, left_out)
 
 
 def best_of(methods: Methods) -> str:
-    """Ours where it is among them, else the last."""
+    """Return our method if it is included, else the last."""
     return DEFAULT_METHOD if DEFAULT_METHOD in methods.names else methods.names[-1]
 
 
 def fingerprint(name: str) -> str:
-    """Of everything that decides what a method computes: its descriptor and its forest or FC4."""
+    """Return a hash of everything that affects a method's results."""
     descriptor = create(name, 1)
     if descriptor.pruner is None:
         return descriptor.fingerprint
@@ -101,10 +101,10 @@ def fingerprint(name: str) -> str:
 
 
 ESTIMATORS = ("consensus", "published")
-"""Ours, and the one that a method was published with."""
+"""Our estimator, and the one published with each method."""
 
 QUALITY = "-fq"
-"""What the name of a method ends with whose matches are ordered by FC4, the feature quality."""
+"""Suffix of methods whose matches are ordered by FC4, the feature quality."""
 
 _CELL_M, _TALL_M = 0.5, 1.0
 
@@ -114,7 +114,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class MappedPlace:
-    """One place as every method has it in its map, over one cloud.
+    """Maps of one place by every method, with one cloud.
 
     Attributes
     ----------
@@ -129,9 +129,9 @@ class MappedPlace:
 
 
 def shared_config(method: str, threads: int, segments_alone: bool = False) -> Config:
-    """A method's preset, with the segmentation that all methods share: the default one.
+    """Return a method's preset with the default segmentation, shared by all methods.
 
-    With ``segments_alone`` nothing else makes candidates: neither stems nor occupancy.
+    With ``segments_alone`` there are no other proposers.
     """
     preset, default = Config.preset(method), Config()
     shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
@@ -146,7 +146,7 @@ def build_maps(
     descriptors: Mapping[str, Descriptor],
     threads: int = 1,
 ) -> dict[str, SegmentMap]:
-    """The maps of several methods, made of the same segments; the first has the cloud of all."""
+    """Build the maps of several methods from the same segments; the first holds the cloud."""
     config = Config(threads=threads)
     poses = recording.poses
     if poses is None or len(poses) == 0:
@@ -158,7 +158,7 @@ def build_maps(
         for name in descriptors:
             add_view(maps[name], view, described[name], with_cloud=name == first)
     if not len(maps[first]):
-        raise DatasetError(f"{recording.name}: no segment found in {len(recording)} scans")
+        raise DatasetError(f"{recording.name}: no segments found in {len(recording)} scans")
     for prior_map in maps.values():
         prior_map.add_trajectory(poses)
     return maps
@@ -167,7 +167,7 @@ def build_maps(
 def describe_all(
     descriptors: Mapping[str, Descriptor], segments: Segments
 ) -> dict[str, Descriptors]:
-    """The same segments described by every method; those of one network run it once."""
+    """Describe segments by every method; methods with the same network run it once."""
     found: dict[str, Descriptors] = {}
     once: dict[str, Descriptors] = {}
     for name, descriptor in sorted(descriptors.items(), key=lambda item: not item[1].rates):
@@ -182,7 +182,7 @@ def describe_all(
 def place_of(
     maps: Mapping[str, SegmentMap], threads: int = 1, segments_alone: bool = False
 ) -> MappedPlace:
-    """Maps of one place by several methods, the first with the cloud of all, ready for queries."""
+    """Prepare maps of one place by several methods; the first holds the cloud."""
     bases = {
         name: Localizer(prior_map, shared_config(name, threads, segments_alone))
         for name, prior_map in maps.items()
@@ -194,10 +194,10 @@ def place_of(
     )
 
 
-def on_the_cloud_of(
+def with_map_cloud(
     first: Localizer, other: Localizer, estimator: Estimator | None = None
 ) -> Localizer:
-    """A localizer in another's map, with the cloud of ``first`` and all that is prepared of it."""
+    """Return a localizer in another map with the cloud of ``first`` and its prepared data."""
     return Localizer(
         other.prior_map,
         other.config,
@@ -214,7 +214,7 @@ def _localizers(base: Localizer, first: Localizer) -> dict[str, Localizer]:
         chosen = published_estimator(config.method) if name == "published" else name
         pose = config.pose.model_copy(update={"estimator": chosen})
         estimator = PoseEstimator(pose, threads=config.threads, seed=config.seed)
-        found[name] = on_the_cloud_of(first, base, estimator)
+        found[name] = with_map_cloud(first, base, estimator)
     return found
 
 
@@ -228,8 +228,8 @@ def localize_all(
     Returns
     -------
     dict
-        ``answers[method][query_set][place][estimator]`` is a list of one dict a query, in values
-        that JSON can hold.
+        ``answers[method][query_set][place][estimator]`` is a list of one dict per query, in JSON
+        values.
     """
     answers: dict[str, Any] = {
         method: {
@@ -251,9 +251,9 @@ def localized(
     places: Mapping[str, MappedPlace],
     estimators: Sequence[str] = ESTIMATORS,
 ) -> Iterator[dict[tuple[str, str, str], Localization]]:
-    """The answers to each query, by (method, place, estimator).
+    """Yield the results of each query by (method, place, estimator).
 
-    A cloud is gathered and segmented once for all, and described once by each method.
+    A cloud is accumulated and segmented once, and described once by each method.
     """
     config = Config()
     segmenter = Segmenter(config.segmentation)
@@ -282,7 +282,7 @@ def _record(result: Localization) -> Answer:
 
 
 def _localization(answer: Answer) -> Localization:
-    """What :func:`_record` wrote down."""
+    """Restore the output of :func:`_record`."""
     figures = {name: answer[name] for name in ("inliers", "overlap", "confidence")}
     if answer["T_map_sensor"] is None:
         reason = Reason(answer["reason"])
@@ -293,10 +293,10 @@ def _localization(answer: Answer) -> Localization:
 def arrays_of(
     query_sets: Mapping[str, QuerySet], trajectory: Float64, cloud: Float64
 ) -> dict[str, Float64]:
-    """What tables and pictures of the answers need, of queries and a :class:`MappedPlace`.
+    """Return the data of queries and a :class:`MappedPlace` for tables and pictures.
 
-    "trajectory" (V, 2), "cloud" (N, 2) where something stands, and for each set of queries
-    "indices-SET" and, where they are known, "truths-SET".
+    "trajectory" (V, 2), above-ground "cloud" (N, 2), and for each set of queries "indices-SET" and,
+    if known, "truths-SET".
     """
     arrays = {"trajectory": trajectory[:, :2, 3], "cloud": standing(cloud)}
     for name, query_set in query_sets.items():
@@ -309,7 +309,7 @@ def arrays_of(
 
 
 def standing(cloud: Float64) -> Float64:
-    """Where something stands, (N, 2): cells whose points differ in height by a metre or more."""
+    """Return above-ground cells (N, 2): their points differ in height by at least a metre."""
     if not len(cloud):
         return np.empty((0, 2))
     cells, group = np.unique(np.round(cloud[:, :2] / _CELL_M), axis=0, return_inverse=True)
@@ -322,7 +322,7 @@ def standing(cloud: Float64) -> Float64:
 
 
 def evaluation(answers: list[Answer], arrays: Mapping[str, Float64], query_set: str) -> Evaluation:
-    """The answers to one set of queries, scored against the truth where it is known."""
+    """Score the results of one set of queries against the truth, if known."""
     results = [_localization(answer) for answer in answers]
     path = np.tile(np.eye(4), (len(arrays["trajectory"]), 1, 1))
     path[:, :2, 3] = arrays["trajectory"]

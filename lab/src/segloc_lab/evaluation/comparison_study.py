@@ -1,6 +1,6 @@
-"""The study that compares methods on scenarios.
+"""Study that compares methods on scenarios.
 
-Each method answers the queries of a scenario in pieces: one process a piece, kept on disk.
+Each method localizes the queries of a scenario in pieces: one process per piece, stored on disk.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from .study import Cell, Curve, Figure, Study, Table
 from .workspace import Workspace, load_arrays, load_json, save_arrays, save_json, store
 
 ALL = "all"
-"""What the last row of some tables is of."""
+"""Name of the last row of some tables."""
 
 _TITLES = {
     "consensus": "our estimator (consensus)",
@@ -51,7 +51,7 @@ _TITLES = {
 
 @dataclass(frozen=True)
 class Result:
-    """The answers on one scenario.
+    """Results of one scenario.
 
     Attributes
     ----------
@@ -69,19 +69,19 @@ class Result:
         return [key.removeprefix("indices-") for key in self.arrays if key.startswith("indices-")]
 
     def scored(self, method: str, query_set: str, estimator: str) -> Evaluation:
-        """The answers to one query_set, against the truth."""
+        """Score the results of a set of queries against the truth."""
         answers = self.answers[method][query_set]["map"][estimator]
         return comparison.evaluation(answers, self.arrays, query_set)
 
     def right(self, method: str, estimator: str) -> list[bool]:
-        """Whether each query was localized rightly; empty where the truth of some is not known."""
+        """Return whether each query was localized correctly; empty if some truths are unknown."""
         scored = [self.scored(method, each, estimator) for each in self.query_sets()]
         if any(each.truths is None for each in scored):
             return []
         return [bool(right) for each in scored for right in each.correct]
 
     def has_negatives(self) -> bool:
-        """Whether the queries were also made where nothing may be found."""
+        """Return whether there are queries outside the map."""
         return any(
             "negative" in query_sets
             for found in self.answers.values()
@@ -89,7 +89,7 @@ class Result:
         )
 
     def negatives(self, method: str, query_set: str, estimator: str) -> list[Answer]:
-        """What was answered where nothing may be found."""
+        """Return the results of queries outside the map."""
         answers: list[Answer] = (
             self.answers[method][query_set].get("negative", {}).get(estimator, [])
         )
@@ -97,7 +97,7 @@ class Result:
 
 
 def summaries(results: list[Result], methods: Methods, estimator: str) -> Iterator[Table]:
-    """How many were found, and how many in the map of another place, with one estimator."""
+    """Yield tables of queries found, and found in the map of another place."""
     yield _found(results, methods, estimator)
     if any(result.has_negatives() for result in results):
         yield _found_elsewhere(results, methods, estimator)
@@ -113,9 +113,8 @@ def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
             counts = (sums[0].queries, sums[0].places, *(each.cell() for each in sums))
             rows.append((*described, *counts))
     note = (
-        "Queries that were localized rightly; in brackets, where there are any, those that were "
-        "localized falsely. Places: queries that the map's path passes within 3 m; some that it "
-        "passes farther off are found, too. "
+        "Queries localized correctly; in brackets, if any, those localized falsely. Places: "
+        "queries within 3 m of the map's trajectory; some farther off are found, too. "
     )
     return Table(
         f"localizations-{estimator}",
@@ -139,12 +138,12 @@ def _found_elsewhere(results: list[Result], methods: Methods, estimator: str) ->
         f"False localizations in the map of another place, {_TITLES[estimator]}",
         ("set", "queries", *methods.names),
         (*rows, total(rows)),
-        "The same queries in a map that does not hold them: every answer is false.",
+        "The same queries in a map of another place: every answer is false.",
     )
 
 
 def differences(results: list[Result], methods: Methods, estimator: str) -> Iterator[Table]:
-    """Each method beside ours, query by query; nothing where there is nothing to compare."""
+    """Compare each method with ours, query by query."""
     ours = best_of(methods)
     right = {
         name: [each for result in results for each in result.right(name, estimator)]
@@ -158,23 +157,23 @@ def differences(results: list[Result], methods: Methods, estimator: str) -> Iter
         rows.append((name, sum(right[name]), *apart(right[ours], right[name]), p))
     yield Table(
         f"differences-{estimator}",
-        f"Methods beside {ours}, query by query, {_TITLES[estimator]}",
-        ("method", "right", f"by {ours} alone", "by this method alone", "p"),
+        f"Methods compared with {ours}, query by query, {_TITLES[estimator]}",
+        ("method", "correct", f"only by {ours}", "only by this method", "p"),
         tuple(rows),
-        f"Of {len(right[ours])} queries, those of all sets together. p: McNemar's exact test, with "
-        "no correction for several tests.",
+        f"Of {len(right[ours])} queries of all sets together. p: McNemar's exact test, without "
+        "correction for multiple tests.",
     )
 
 
 def total(rows: Sequence[tuple[Cell, ...]]) -> tuple[Cell, ...]:
-    """A last row, which sums up what stands behind the names of all."""
+    """Return a last row with the sums of all columns."""
     sums = [sum(int(row[k] or 0) for row in rows) for k in range(1, len(rows[0]))]
     return (ALL, *sums)
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Counts of one method and estimator over a group of queries; None where truth is unknown."""
+    """Counts of one method and estimator over a group of queries; None if truth is unknown."""
 
     queries: int
     places: int | None
@@ -215,7 +214,7 @@ def _sums(result: Result, method: str, group: tuple[str, ...], estimator: str) -
 
 
 def groups(result: Result) -> list[tuple[str, ...]]:
-    """The query_sets that share a row: later sessions of a simulated set do, protocols do not."""
+    """Return the query sets that share a row: sessions of a simulated set, not protocols."""
     query_sets = result.query_sets()
     if all(query_set.startswith("test_") for query_set in query_sets):
         return [tuple(query_sets)]
@@ -228,7 +227,7 @@ def label_of(result: Result, group: tuple[str, ...]) -> str:
 
 
 def details(results: list[Result], methods: Methods) -> Table:
-    """Everything that was counted, one row a method."""
+    """Return a table of all counts, one row per method."""
     rows: list[tuple[Cell, ...]] = []
     for result in results:
         for group in groups(result):
@@ -245,7 +244,7 @@ def details(results: list[Result], methods: Methods) -> Table:
             "median error m",
         ),
         tuple(rows),
-        "Right answers off the places are of queries that pass the map's path at more than 3 m.",
+        "Correct answers off the places are of queries more than 3 m from the map's trajectory.",
     )  # fmt: skip
 
 
@@ -266,25 +265,24 @@ def _values(sums: _Sums) -> tuple[Cell, ...]:
 Settings = dict[str, Any]
 
 TEXT = """\
-A map is made of a first traversal, and clouds of a later one are localized in it, one after
-another. No query knows the one before it, and none has an initial guess. An answer is right within
-3 m and 5 degrees of the truth; any other answer is false. A query lies within map coverage if the
-map's path passes it within 3 m: the others come from streets that the map does not hold, and are
-best left unanswered.
+A map is built from a first traversal, and clouds of a later one are localized in it, each
+independently and without an initial guess. An answer is correct within 3 m and 5 degrees of the
+truth; any other answer is false. A query is within map coverage if the map's trajectory passes
+within 3 m: the others come from unmapped streets, and should be rejected.
 
-All methods see the same segments and the same thresholds, those of the package: fitted once on
-simulated worlds and on real scans in wrong maps, a few of them set by hand with KITTI 00 in view.
-Each query is made twice, with our pose estimator (consensus) and with the published one, and,
-where there is one, in the map of another place, seen by the same kind of sensor: there every answer
-is false."""
+All methods use the same segments and the same thresholds, those of the package: fitted on
+simulated worlds and on real scans in wrong maps; a few were set by hand with KITTI 00 in view.
+Each query is localized twice, with our pose estimator (consensus) and with the published one,
+and, if available, in the map of another place by the same kind of sensor: there every answer is
+false."""
 ALONE = """
 
-Here segments alone make candidates. As segloc is shipped it also searches by stems and by what
-stands where, which find nearly all that a method's segments lose, and so hide what it is worth."""
+Here segments are the only proposer. By default segloc also searches by stems and occupancy, which
+find nearly everything that a method's segments miss, and so hide its merits."""
 _CLOUD_RADIUS_M = 60.0
 PIECE, PIECES = 1, 32
-"""So many queries of a scenario are answered, and kept, at once; more where it would be in more
-pieces than so many."""
+"""Minimum queries per piece of a scenario, and maximum number of pieces."""
+
 
 PLACES = ("map", "negative")
 _ARRAYS = "arrays.npz"
@@ -293,7 +291,7 @@ Answers = dict[str, Any]
 
 
 def own_recordings(workspace: Workspace, pair: Pair) -> Study:
-    """Compare the methods on two recordings of the user's own."""
+    """Compare the methods on two recordings of the user."""
     title = "Localization of your own recordings"
     return compare(workspace, [PairScenario(pair)], "own", title)
 
@@ -310,9 +308,9 @@ def compare(
     Parameters
     ----------
     name, title : str
-        Of the study.
+        Name and title of the study.
     published : sequence of Table
-        Figures of others, to stand beside the first table.
+        Published figures, shown beside the first table.
     """
     start = time.perf_counter()
     methods = ready(workspace.methods)
@@ -334,9 +332,9 @@ def compare(
 
 
 def answered(workspace: Workspace, scenarios: Sequence[Scenario], methods: Methods) -> list[Result]:
-    """The answers of all methods on all scenarios; those that are stored are not computed again.
+    """Return the results of all methods on all scenarios; stored ones are not computed again.
 
-    A scenario is answered in pieces, each of which is kept when it is finished.
+    A scenario is processed in pieces, each stored when it is finished.
     """
     results = [_stored(workspace, scenario, methods) for scenario in scenarios]
     missing = {
@@ -401,7 +399,7 @@ def _method_key(
 
 
 def maps(results: list[Result], methods: Methods) -> Iterator[Figure]:
-    """Draw every scenario with the answers of each method, by our estimator, ours first."""
+    """Draw every scenario with the results of each method, by our estimator, ours first."""
     best = best_of(methods)
     ordered = (best, *(name for name in methods.names if name != best))
     for result in results:
@@ -430,7 +428,7 @@ def _path(arrays: Mapping[str, Float64]) -> Curve:
 
 
 def _drawn(scored: Evaluation) -> dict[str, Float64]:
-    """Points of each kind of answer, (N, 2); a false one is tied to its true place."""
+    """Return points by kind of result, (N, 2); a false one is connected to its true position."""
     found = scored.positions_found()[:, :2, 3]
     false = scored.false[scored.localized]
     drawn = {"not localized": np.empty((0, 2)), "localized": found[~false]}
@@ -450,13 +448,13 @@ def _joined(parts: list[Float64]) -> Curve:
 
 @dataclass(frozen=True)
 class Job:
-    """The queries of a scenario, to be answered by some methods.
+    """Queries of a scenario for some methods.
 
     Attributes
     ----------
     maps : Path
-        Where the maps are left for all pieces; the name of this folder, and so what a piece is
-        kept by, is another one for all other settings.
+        Folder of the maps for all pieces; its name depends on all settings, and identifies stored
+        pieces.
     """
 
     scenario: Scenario
@@ -465,7 +463,7 @@ class Job:
     maps: Path
 
     def arrays(self) -> dict[str, Float64]:
-        """Those of :func:`~segloc_lab.evaluation.comparison.arrays_of`, once the map is made."""
+        """Return :func:`~segloc_lab.evaluation.comparison.arrays_of`, once the map is built."""
         return load_arrays(self.maps / "map" / _ARRAYS)
 
     def descriptors(self) -> dict[str, Descriptor]:
@@ -474,7 +472,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Piece:
-    """The queries of a job from ``start`` on, so many of them; ``number`` tells pieces apart."""
+    """The ``size`` queries of a job from ``start`` on; ``number`` identifies the piece."""
 
     job: Job
     number: int
@@ -484,7 +482,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scenario that is ready to be answered."""
+    """A scenario ready for queries."""
 
     query_sets: Mapping[str, QuerySet]
     descriptors: Mapping[str, Descriptor]
@@ -492,7 +490,7 @@ class Prepared:
 
 
 def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
-    """The maps of all jobs, each in a process of its own, where they are not yet."""
+    """Build missing maps of all jobs, each in its own process."""
     left = [(job, name) for job in jobs for name in PLACES if not (job.maps / name).exists()]
     with workspace.progress("Building maps") as update:
         update(0, len(left))
@@ -521,9 +519,9 @@ def _save(maps: Mapping[str, SegmentMap], arrays: Mapping[str, Float64], folder:
 
 
 def answers_of(workspace: Workspace, jobs: Sequence[Job]) -> list[Answers]:
-    """Localize each job by :func:`.comparison.localize_all`; in the order of the jobs.
+    """Localize each job by :func:`.comparison.localize_all`, in order of the jobs.
 
-    Pieces that have been answered before are not answered again.
+    Stored pieces are not computed again.
     """
     pieces = [piece for job in jobs for piece in _pieces(job)]
     keys = [_piece_key(piece) for piece in pieces]
@@ -557,8 +555,8 @@ def _answer(piece: Piece) -> Answers:
 
 
 _prepared: dict[Path, Prepared] = {}
-"""What this process answers, by its maps: pieces of one scenario come one after another, and it is
-made ready once. It is large, so never two of them."""
+"""Prepared scenario of this process by its maps, so that consecutive pieces prepare it once. It is
+large, so at most one is kept."""
 
 
 def _ready(job: Job) -> Prepared:
@@ -583,7 +581,7 @@ def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:
 
 
 def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> dict[str, QuerySet]:
-    """The same sets, with so many queries of them all together, the first ``start`` left out."""
+    """Return ``size`` queries of all sets together, from ``start`` on."""
     found, before = {}, 0
     for name, each in query_sets.items():
         first, last = (int(np.clip(k - before, 0, None)) for k in (start, start + size))
@@ -594,7 +592,7 @@ def _queries_of(query_sets: Mapping[str, QuerySet], start: int, size: int) -> di
 
 
 def _whole(parts: Sequence[Any]) -> Any:
-    """Lists at the same place of nested dicts, one after another."""
+    """Concatenate lists at the same position of nested dicts."""
     if isinstance(parts[0], dict):
         return {key: _whole([part[key] for part in parts]) for key in parts[0]}
     return [each for part in parts for each in part]

@@ -1,4 +1,4 @@
-"""Where queries are lost: the stage at which each one within map coverage failed."""
+"""Find the stage at which queries within map coverage are lost."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 REPEAT_RADIUS_M = 0.5
-"""A query segment is repeated where the map has the centroid of a segment this close to its own."""
+"""Maximum distance between the centroids of a query segment and its repetition in the map [m]."""
 
-FEWEST_INLIERS = 3
-"""So many segments agree on some pose by chance: with fewer right ones, none is found."""
+MIN_INLIERS = 3
+"""This many segments agree by chance; with fewer correct ones no pose is found."""
 
-FEWEST_SEGMENTS = 10
-"""A query with fewer segments shows too little, whatever the map holds."""
+MIN_SEGMENTS = 10
+"""Queries with fewer segments see too little in any map."""
 
 STAGES = (
     "localized",
@@ -46,7 +46,7 @@ STAGES = (
 
 _MIN_ALIGNED = 0.3
 _PICTURED_M = 60.0
-"""Half the width of a picture."""
+"""Half the width of a picture [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,22 +55,22 @@ class Case:
 
     Attributes
     ----------
-    index : int
+        Scan number of the query.
         The query's number in its sequence.
-    stage : str
+        One of :data:`STAGES`: the first with too few items.
         One of :data:`STAGES`: the first at which too little was left.
     detail : str
-        The gate that rejected the pose, or "".
+        Gate that rejected the pose, or "".
     segments : int
-        Of the query.
+        Number of segments of the query.
     repeated : int
-        Objects of the query that the map holds, by their centroids under the true pose.
+        Objects of the query in the map, by their centroids at the true pose.
     matched : int
-        Those of them that are among the matches.
+        Repeated objects among the matches.
     inliers : int
-        Of the hypothesis nearest to the truth; 0 if there is none.
+        Of the pose closest to the truth; 0 if there is none.
     overlap : float
-        Of the query cloud with the map under the true pose.
+        Of the query cloud with the map at the true pose.
     T_map_local : (4, 4) list
         The true pose, aligned.
     """
@@ -88,36 +88,36 @@ class Case:
 
 @dataclass(frozen=True)
 class Funnel:
-    """How many queries got how far.
+    """Numbers of queries by stage.
 
     Attributes
     ----------
     queries : int
-        In all.
+        Total number.
     cases : tuple of Case
-        Those within map coverage.
+        Queries within map coverage.
     """
 
     queries: int
     cases: tuple[Case, ...]
 
     def counts(self) -> dict[str, int]:
-        """Cases at every stage, in the order of the pipeline."""
+        """Return the number of cases at every stage, in order of the pipeline."""
         found = Counter(case.stage for case in self.cases)
         return {stage: found[stage] for stage in STAGES}
 
     def details(self) -> dict[str, int]:
-        """Rejected poses by the gate that rejected them, the commonest first."""
+        """Return rejected poses by gate, the most frequent first."""
         found = Counter(case.detail for case in self.cases if case.detail)
         return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
     def worst(self, count: int) -> list[Case]:
-        """Failed cases, those first that the map explains best: they should have been found."""
+        """Return failed cases by falling overlap: they should have been found."""
         failed = [case for case in self.cases if case.stage != "localized"]
         return sorted(failed, key=lambda case: (-case.repeated, case.index))[:count]
 
     def to_json(self) -> dict[str, Any]:
-        """Everything in values that JSON can hold."""
+        """Return everything as JSON values."""
         return {
             "queries": self.queries,
             "within_coverage": len(self.cases),
@@ -128,15 +128,14 @@ class Funnel:
 
 
 def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
-    """Follow every query that lies within map coverage through the stages.
+    """Follow every query within map coverage through the stages.
 
     Parameters
     ----------
     localizer : Localizer
     query_set : QuerySet
-        With truths. Where they are good to a metre or two only, the alignment with the map corrects
-        them. Where the recording has poses, queries gather the scans of the path behind them, as
-        when localizing.
+        With truths, which are refined by alignment with the map. If the recording has poses,
+        queries accumulate the scans before them, as in localization.
 
     Raises
     ------
@@ -178,7 +177,7 @@ def _examine(
 
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
-    """The true pose, moved to where the clouds fit best; as it was where they do not."""
+    """Refine the true pose by alignment; unchanged if the clouds do not match."""
     refined = localizer.likelihood.at(localizer.likelihood.query(scene), T)
     return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
 
@@ -191,7 +190,7 @@ def _matched(prior_map: Float64, matches: Matches, placed: Float64) -> Any:
 
 
 def _objects(centroids: Float64, localizer: Localizer) -> int:
-    """Segments closer than the estimator's distinct radius are one object."""
+    """Count segments, as one object if closer than the estimator's distinct radius."""
     kept: list[Float64] = []
     radius = localizer.config.pose.distinct_radius
     for point in centroids[:, :2]:
@@ -219,23 +218,23 @@ def _stage(
     best = search.posterior.best
     if best is not None and search.reason is None:
         return localized if _same(best.T_map_local, T) else falsely
-    if segments < FEWEST_SEGMENTS:
+    if segments < MIN_SEGMENTS:
         return few
     repeated, matched = objects
-    if repeated < FEWEST_INLIERS:
+    if repeated < MIN_INLIERS:
         return unrepeated
-    if matched < FEWEST_INLIERS:
+    if matched < MIN_INLIERS:
         return unmatched
     return rejected if found else unfound
 
 
 def draw_case(localizer: Localizer, sequence: Recording, case: Case, position: int) -> bytes:
-    """A failed query from above: its segments under the true pose, on those of the map.
+    """Draw a failed query from above: its segments at the true pose, on those of the map.
 
     Parameters
     ----------
     position : int
-        Of the query in the sequence.
+        Position of the query in the sequence.
 
     Returns
     -------
@@ -268,7 +267,7 @@ def draw_case(localizer: Localizer, sequence: Recording, case: Case, position: i
         (
             geometry.transform(T, scene.segments.centroids)[:, :2],
             {"s": 46, "facecolors": "none", "edgecolors": RED},
-            "segments of the query, under the true pose",
+            "segments of the query at the true pose",
         ),
     )
     for points, style, label in layers:

@@ -1,4 +1,4 @@
-"""What is localized where: a map, the queries made in it, and a map that does not contain them."""
+"""Scenarios: a map, queries in it, and a map of another place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class QuerySet:
     Attributes
     ----------
     recording : Recording
-        Its poses, where it has any, are those by which queries are accumulated.
+        With poses, if any, by which queries are accumulated.
     positions : (N,) int64
     truths : (N, 4, 4) float64 or None
         True T_map_sensor.
@@ -42,7 +42,7 @@ class OpenedScenario:
     Attributes
     ----------
     negative : Recording or None
-        Another place seen by the same kind of sensor: what is found in it is false.
+        Another place by the same kind of sensor: every answer in it is false.
     """
 
     map: Recording
@@ -52,27 +52,27 @@ class OpenedScenario:
 
 @dataclass(frozen=True)
 class Facts:
-    """What a table says of a scenario: the kind of place, and the sensor."""
+    """Kind of place and sensor of a scenario, for tables."""
 
     kind: str
     sensor: str
 
 
 class Scenario(Protocol):
-    """A map, and the queries that are made in it; small, so that processes can be handed it."""
+    """A map and its queries; small, to be passed to processes."""
 
     @property
     def name(self) -> str: ...
 
     @property
     def segments_alone(self) -> bool:
-        """Whether nothing but segments makes candidates, so that only methods differ."""
+        """Whether segments are the only proposer, so that only methods differ."""
         ...
 
     def facts(self) -> Facts: ...
 
     def settings(self) -> dict[str, Any]:
-        """Everything that decides what :meth:`open` gives."""
+        """Return everything that affects :meth:`open`."""
         ...
 
     def open(self) -> OpenedScenario: ...
@@ -85,20 +85,20 @@ class Pair:
     Attributes
     ----------
     map, query : Path
-        What :func:`segloc.datasets.open_sequence` opens.
+        Paths for :func:`segloc.datasets.open_sequence`.
     map_poses : Path or None
-        Of the scans to map, in whose frame the map is; by default the recording's own.
+        Poses that define the map frame; by default the recording's own.
     poses : Path or None
-        Odometry of the queries, by which they are accumulated; by default the recording's own.
-        Where there is none, each scan stands alone.
+        Odometry of the queries, for accumulation; by default the recording's own. Without any,
+        queries are single scans.
     truth : Path or None
         True poses of the queries in the map's frame, to score against.
     map_select, select : str or None
-        Which scans; see :func:`segloc.datasets.parse_select`.
+        Selected scans; see :func:`segloc.datasets.parse_select`.
     topic : str or None
-        Of both recordings, where they have several.
+        Of both recordings, if they have several.
     every_m : float
-        Metres of travel between queries; every scan is one where nothing tells the distance.
+        Travel between queries [m]; without poses every scan is a query.
     """
 
     map: Path
@@ -114,7 +114,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class PairScenario:
-    """Two recordings of the user's own."""
+    """Two recordings of the user."""
 
     pair: Pair
 
@@ -124,7 +124,7 @@ class PairScenario:
 
     @property
     def segments_alone(self) -> bool:
-        return False  # what is found with all there is
+        return False  # with all proposers
 
     def facts(self) -> Facts:
         return Facts("own", "own")
@@ -160,7 +160,7 @@ class PairScenario:
 
 
 def folder_size(path: Path) -> int:
-    """Bytes of a file, or of the files in a folder."""
+    """Return the size of a file, or of the files in a folder [bytes]."""
     files = path.iterdir() if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files if file.is_file())
 

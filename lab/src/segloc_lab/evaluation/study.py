@@ -1,4 +1,4 @@
-"""A study's tables, figures and facts, written as one folder of Markdown and pictures."""
+"""Tables, figures and facts of a study, written as a folder of Markdown and pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Cell = str | float | int | None
 Kind = Literal["roc", "polar", "bars", "map", "lines"]
 Curve = tuple[Float64, Float64]
 LONG_ROWS = 40
-"""Rows above which a table is stored as data only."""
+"""Tables with more rows are stored as data only."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Table:
     Attributes
     ----------
     rows : tuple of tuples of str, float, int or None
-        The first cell names the row; None is "not measured".
+        The first cell is the row's name; None is "not measured".
     source : str
         "segloc", or "paper" for published figures.
     """
@@ -63,7 +63,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """The data of a drawing.
+    """Data of a drawing.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Figure:
     series : dict of str to (x, y)
         (N,) float64 arrays.
     top : float or None
-        Largest radius of a polar drawing.
+        Maximum radius of a polar drawing.
     """
 
     name: str
@@ -122,9 +122,9 @@ class Study:
     Attributes
     ----------
     facts : dict
-        What repeats the study: command, seed, fingerprints of the weights, versions, machine.
+        Facts for repetition: command, seed, fingerprints of the weights, versions, machine.
     text : str
-        The question of the study.
+        Question of the study.
     """
 
     name: str
@@ -135,14 +135,14 @@ class Study:
     text: str = ""
 
     def save(self, folder: Path) -> None:
-        """Write ``REPORT.md``, ``study.json`` with every digit, and a picture a figure.
+        """Write ``REPORT.md``, ``study.json`` with every digit, and a picture per figure.
 
-        Figures are left out, and the report says so, where matplotlib is missing.
+        Without matplotlib there are no figures, as noted in the report.
         """
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise SeglocError(f"{folder}: cannot be made: {error.strerror or error}") from error
+            raise SeglocError(f"{folder}: cannot be created: {error.strerror or error}") from error
         parts = [f"# {self.title}", self.text.strip()]
         parts += [table.text() for table in self.tables if len(table.rows) <= LONG_ROWS]
         try:

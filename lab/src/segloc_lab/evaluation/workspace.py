@@ -59,9 +59,9 @@ class Workspace:
     say : callable
         Takes remarks of one line.
     command : str
-        That repeats the work; printed beside the results.
+        Command that repeats the work; printed with the results.
     executor : Executor or None
-        What does the tasks, in place of ``workers`` processes.
+        Runs the tasks instead of ``workers`` processes.
     """
 
     out: Path
@@ -75,7 +75,7 @@ class Workspace:
     executor: Executor | None = None
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
-        """What a study says of itself: enough to repeat it.
+        """Return the facts that repeat a study.
 
         ``fingerprints`` are those of weights and descriptors, by method.
         """

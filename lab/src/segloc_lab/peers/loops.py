@@ -21,7 +21,7 @@ import numpy as np
 
 from segloc import LoopDetector, Scan, geometry
 from segloc.datasets import Sequence
-from segloc.loops import Edges, joined_edges, solve_robustly
+from segloc.loops import Edges, concatenate_edges, solve_robustly
 from segloc.motion import odometry_covariance
 from segloc.types import Float64
 
@@ -82,7 +82,7 @@ def tied(odometry: Float64, loops: Edges) -> Float64:
     numbers = np.arange(len(steps), dtype=np.int64)
     metres = np.linalg.norm(steps[:, :3, 3], axis=1)
     path = Edges(numbers, numbers + 1, steps, odometry_covariance(metres, 0.02, 0.05, 0.01))
-    edges, fixed = joined_edges([path, loops]), np.zeros(1, dtype=np.int64)
+    edges, fixed = concatenate_edges([path, loops]), np.zeros(1, dtype=np.int64)
     return solve_robustly(odometry, edges, np.arange(len(edges)) >= len(path), fixed)[0]
 
 

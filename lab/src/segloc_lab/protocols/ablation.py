@@ -1,4 +1,4 @@
-"""What each proposer and each descriptor brings: found and false without the others.
+"""Contribution of each proposer and each descriptor: found and false without the others.
 
     python -m segloc_lab.protocols.ablation --report FOLDER
 
@@ -29,7 +29,7 @@ from ..simulation import SCENES, Conditions, Route, World, os1_64, simulate_sess
 from ..simulation.drives import lane, mapped_way
 
 PROPOSERS = ("segments", "+ stems", "+ occupancy")
-"""Each row has the proposers of the rows above it, too."""
+"""Each row also has the proposers of the rows above it."""
 
 NO_MATCHES = "no segments"
 LENGTH_M = 120.0
@@ -38,7 +38,7 @@ LATER = Conditions(foliage=0.5, replaced=0.15)
 
 
 class NoMatches:
-    """Propose no pose from segments."""
+    """Propose no poses from segments."""
 
     def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
         """Return no candidates."""
@@ -47,13 +47,13 @@ class NoMatches:
     def agreement(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> Callable[[Pose], int]:
-        """Return what counts no segments at any pose."""
+        """Return no inliers at any pose."""
         return lambda T_map_local: 0
 
 
 @dataclass(frozen=True)
 class Place:
-    """The recording of a map, queries in it with their true poses, and queries of elsewhere."""
+    """The recording of a map, queries in it with true poses, and queries of another place."""
 
     name: str
     mapped: Recording
@@ -95,7 +95,7 @@ def _world(kind: str, seed: int) -> tuple[World, tuple[int, ...]]:
 def localizers(
     place: Place, descriptors: Mapping[str, Descriptor]
 ) -> dict[tuple[str, str], Localizer]:
-    """Localizers by descriptor and last proposer, on one cloud; and one without matches."""
+    """Return localizers by descriptor and last proposer, on one cloud; and one without matches."""
     maps = build_maps(place.mapped, descriptors)
     first = Localizer(maps[next(iter(maps))], shared_config(next(iter(maps)), 1))
     found = {}
@@ -122,7 +122,7 @@ def answers(
     ways: Mapping[tuple[str, str], Localizer],
     descriptors: Mapping[str, Descriptor],
 ) -> dict[tuple[str, str], list[Localization]]:
-    """Answer each scan in every way; each is gathered and segmented once."""
+    """Localize each scan in every way; each is accumulated and segmented once."""
     found: dict[tuple[str, str], list[Localization]] = {way: [] for way in ways}
     first = next(iter(ways.values()))
     for i in range(len(recording)):
@@ -138,7 +138,7 @@ def answers(
 
 
 def rows(place: Place, descriptors: Mapping[str, Descriptor]) -> Iterator[tuple[Cell, ...]]:
-    """Count found and false answers in a place: a row for each way."""
+    """Count found and false answers in a place, one row per way."""
     ways = localizers(place, descriptors)
     path = next(iter(ways.values())).prior_map.trajectory
     inside = answers(place.inside, ways, descriptors)

@@ -1,4 +1,4 @@
-"""How exact localized poses are, against a reference that is registered to the map.
+"""Accuracy of localized poses, against a reference registered to the map.
 
 Ground truth of KITTI 00 agrees from pass to pass to about a metre only. So the reference of each
 query is its ground truth, moved to where small_gicp aligns the query with the map's cloud at a
@@ -35,13 +35,13 @@ Row = tuple[str | int, ...]
 
 
 class Reference:
-    """Where a cloud lies in a map, for clouds whose pose is known to a metre or so."""
+    """Find the pose in a map of clouds with poses known to about a metre."""
 
     def __init__(self, prior_map: SegmentMap) -> None:
         self._cloud, self._origin = np.asarray(prior_map.cloud, dtype=np.float64), prior_map.origin
 
     def pose(self, cloud: LocalCloud, truth: Pose) -> Pose | None:
-        """T_map_sensor; None where two starts do not agree."""
+        """Return T_map_sensor; None if two starts disagree."""
         T = truth @ geometry.inverse(cloud.T_local_sensor)
         T = geometry.rigid(T[:3, :3], T[:3, 3] - self._origin)
         near = np.hypot(*(self._cloud[:, :2] - T[:2, 3]).T) < RADIUS_M + 10
@@ -67,7 +67,7 @@ class Reference:
 
 
 def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[Float64, int, int]:
-    """Metres and degrees of the localized queries (N, 2), references left out, not localized."""
+    """Return errors [m, deg] of localized queries (N, 2), dropped references, not localized."""
     reference, found, out, lost = Reference(localizer.prior_map), [], 0, 0
     queries = query_set(data, protocol, step)
     assert queries.truths is not None
@@ -88,7 +88,7 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
 
 
 def cells(data: Path, out: Path, protocol: str, config: Config, step: int) -> Row:
-    """One protocol as a row of the table."""
+    """Return one protocol as a row of the table."""
     map_name = f"{PROTOCOLS[protocol].map_name}-{config.method}.segmap"
     localizer = Localizer(SegmentMap.load(out / map_name), config)
     off, without, lost = errors(data, protocol, localizer, step)
@@ -104,7 +104,7 @@ def main() -> None:
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     rows = []

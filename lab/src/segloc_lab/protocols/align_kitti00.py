@@ -48,11 +48,11 @@ COLUMNS = (
 )
 
 Errors = dict[tuple[int, int], Float64]
-"""Metres and degrees that pairs of poses are off, (n, 2), by pair of sessions."""
+"""Errors of pairs of poses [m, deg], (n, 2), by pair of sessions."""
 
 
 def drifted(recording: Reposed, rng: np.random.Generator) -> Reposed:
-    """The recording with 1 % of drift, in a frame of its own."""
+    """Return the recording with 1 % of drift, in its own frame."""
     frame = geometry.yaw_transform(
         float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
     )
@@ -60,14 +60,14 @@ def drifted(recording: Reposed, rng: np.random.Generator) -> Reposed:
 
 
 def local_cloud(recording: Reposed, i: int) -> tuple[Pose, Float32]:
-    """The pose of what was seen around a scan by ground truth, and the points."""
+    """Return the pose of a submap around a scan by ground truth, and its points."""
     scans = window(recording.poses, i, CLOUD_M, centred=True, max_gap_m=10.0)
     cloud = Accumulator().gather([recording.scan(k) for k in scans], i - scans.start)
     return geometry.levelled(recording.poses[i]), kernels.voxel_grid(cloud.points, 0.3)
 
 
 def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
-    """T_a_b of two scans by ground truth that ICP corrected; None where ICP does not fit."""
+    """Return T_a_b of two scans by ground truth and ICP; None if ICP fails."""
     T_a, cloud_a = local_cloud(a, i)
     T_b, cloud_b = local_cloud(b, j)
     registration = Registration(geometry.transform(T_a, cloud_a).astype(np.float32))
@@ -79,14 +79,14 @@ def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
 
 
 def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
-    """Some scans of b and the nearest of a, where the two passes run over one place."""
+    """Return some scans of b and the nearest of a, where the two passes overlap."""
     apart = np.linalg.norm(a.poses[:, None, :2, 3] - b.poses[None, :, :2, 3], axis=2)
     near = np.flatnonzero(apart.min(axis=0) < PLACE_M)[::EVERY]
     return [(int(apart[:, j].argmin()), int(j)) for j in near]
 
 
 def errors(truth: list[Reposed], found: Alignment) -> Errors:
-    """How far pairs of poses are off the reference."""
+    """Return the errors of pairs of poses against the reference."""
     result = {}
     for b in range(len(truth)):
         for a in range(b):
@@ -103,7 +103,7 @@ def errors(truth: list[Reposed], found: Alignment) -> Errors:
 
 
 def false_loops(truth: list[Reposed], found: Alignment) -> int:
-    """Accepted loops that are off the ground truth by more than it may be."""
+    """Return accepted loops that disagree with the ground truth."""
     where: list[dict[int, int]] = [
         {int(n): k for k, n in enumerate(recording.indices)} for recording in truth
     ]
@@ -123,14 +123,14 @@ def false_loops(truth: list[Reposed], found: Alignment) -> int:
 
 @contextmanager
 def timed(label: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress that prints how long each part took."""
+    """Print how long each part took."""
     began = time.perf_counter()
     yield lambda done, total: None
     print(f"{label}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
 def tell(title: str, found: Alignment, false: int, off: Errors, folder: Path | None) -> None:
-    """Publish how far poses of two sessions are off, with a note on loops and time."""
+    """Publish the errors between sessions, with a note on loops and time."""
     named = {f"{a} and {b}": each for (a, b), each in off.items() if len(each)}
     named["all"] = np.concatenate([np.zeros((0, 2)), *named.values()])
     accepted = sum(loop.accepted for loop in found.loops)

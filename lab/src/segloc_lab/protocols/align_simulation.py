@@ -24,7 +24,7 @@ from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
 
 
 def errors(truths: list[Float64], found: Alignment) -> Errors:
-    """How far pairs of poses of connected sessions are off."""
+    """Return the errors of pairs of poses of connected sessions."""
     result = {}
     for members in found.components:
         for b in members:
@@ -46,7 +46,7 @@ def _errors(a: Float64, b: Float64, A: Float64, B: Float64) -> Float64:
 
 
 def false_loops(truths: list[Float64], found: Alignment) -> int:
-    """Accepted loops that are off the truth."""
+    """Return accepted loops that disagree with the truth."""
     count = 0
     rows = zip(found.loops, found.loop_sessions, found.loop_scans, strict=True)
     for loop, sessions, scans in rows:

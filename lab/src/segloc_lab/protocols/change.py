@@ -55,22 +55,22 @@ CLOUDS = ("single", "accumulated")
 ESTIMATOR = "consensus"
 ALONE = "segments alone"
 WAYS = ("all there is", ALONE)
-"""With stems and occupancy, and without both."""
+"""Localizers with stems and occupancy, and without both."""
 SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
 
 
 def ways_of(maps: Mapping[str, SegmentMap]) -> dict[str, MappedPlace]:
-    """The maps of one place by several methods, in each of the ways."""
+    """Maps of one place by several methods, in each way."""
     return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
 def mapped_path(world: World, seed: int) -> tuple[int, ...]:
-    """The junctions along the path that is mapped."""
+    """Return the junctions along the mapped trajectory."""
     return tuple(mapped_way(world, np.random.default_rng([seed, 31]), LENGTH_M))
 
 
 def mapped_drive(world: World, seed: int, sensor: Lidar) -> SimulatedSequence:
-    """The drive that the map is made of: summer, nothing replaced."""
+    """Return the mapped drive: summer, nothing replaced."""
     route = Route(mapped_path(world, seed), lane(world, 0))
     return simulate_session(world, 0, route, sensor, seed, name="map")
 
@@ -78,7 +78,7 @@ def mapped_drive(world: World, seed: int, sensor: Lidar) -> SimulatedSequence:
 def drives(
     world: World, seed: int, sensor: Lidar, conditions: Conditions
 ) -> dict[str, SimulatedSequence]:
-    """The path in a later session, in another lane, and back against the mapped direction."""
+    """Return a later session's trajectory: another lane, and back in the opposite direction."""
     path = mapped_path(world, seed)
     there, back = Route(path, lane(world, 1)), Route(path[::-1], lane(world, 1))
     return {
@@ -90,7 +90,7 @@ def drives(
 def query_sets(
     drive: SimulatedSequence | Kept, every: int, accumulated_every_m: float
 ) -> dict[str, QuerySet]:
-    """Its scans alone, and clouds accumulated by odometry that drifts."""
+    """Return single scans, and clouds accumulated by drifting odometry."""
     single = np.arange(0, len(drive), every, dtype=np.int64)
     accumulated = query_positions(drive.truth, accumulated_every_m, np.inf)
     odometry = drive.with_odometry()
@@ -106,7 +106,7 @@ def evaluations(
     places: Mapping[str, MappedPlace],
     tolerance: Tolerance | None = None,
 ) -> dict[tuple[str, str], Evaluation]:
-    """By (method, place); clouds are gathered and segmented once for all."""
+    """Localize by (method, place); clouds are accumulated and segmented once."""
     found: dict[tuple[str, str], list[Localization]] = {}
     for answers in localized(query_set, descriptors, places, (ESTIMATOR,)):
         for (method, place, _), answer in answers.items():
@@ -121,7 +121,7 @@ def evaluations(
 def asked(
     ways: Mapping[str, MappedPlace], query_set: QuerySet, descriptors: Mapping[str, Descriptor]
 ) -> list[dict[str, Any]]:
-    """What each method finds in each way, in values that JSON can hold."""
+    """Return the results of each method in each way as JSON values."""
     return [
         {
             "method": method,
@@ -134,7 +134,7 @@ def asked(
 
 
 def table(answers: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
-    """Columns and rows: a row for each set and way, both directions together."""
+    """Return columns and rows, one row per set and way, both directions together."""
     rows: dict[tuple[str, ...], dict[str, list[bool]]] = {}
     false: Counter[tuple[str, ...]] = Counter()
     for entry in answers:
@@ -170,7 +170,7 @@ def report(answers: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> SpinningLidar:
-    """A sensor of so many columns; of its beams, every so many are kept that ``beams`` are left."""
+    """Return a sensor with ``columns`` columns, and every n-th beam so that ``beams`` are left."""
     sensor = SENSORS[name](columns)
     if not isinstance(sensor, SpinningLidar):
         raise ConfigError(f"{name} does not spin")
@@ -187,14 +187,14 @@ class Places:
         self.descriptors, self.sensor, self.scans = descriptors, sensor, scans
 
     def maps(self, world: World, seed: int) -> dict[str, SegmentMap]:
-        """Of one world."""
+        """Return the maps of one world."""
         drive = kept(mapped_drive(world, seed, self.sensor), self.scans)
         return build_maps(drive, self.descriptors)
 
     def mapped(
         self, name: str, world: World, seed: int, pad: int, others: int
     ) -> dict[str, MappedPlace]:
-        """A world, padded with ``others`` of its kind up to ``pad`` segments, by ways of asking."""
+        """Return a world, padded with ``others`` of its kind up to ``pad`` segments, by way."""
         maps = self.maps(world, seed)
         if len(maps[next(iter(maps))]) < pad:
             seeds = range(seed + 1, seed + 1 + others)
@@ -207,7 +207,7 @@ class Places:
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """Parse the command line."""
     options = resumed(__doc__, "change.jsonl")
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
@@ -228,7 +228,7 @@ def arguments() -> argparse.Namespace:
 
 
 def measure(args: argparse.Namespace) -> None:
-    """Ask in all worlds, and keep what each has given."""
+    """Query all worlds, and store the results of each."""
     done = {_set_of(entry) for entry in (entries(args.out) if args.out.exists() else [])}
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}

@@ -1,4 +1,4 @@
-"""Queries in the tiles of a city, by a process that does nothing else: what they find and cost.
+"""Queries in the tiles of a city in a separate process: results and cost.
 
     python -m segloc_lab.protocols.city_queries WORK WAY OUT SEED...
 
@@ -38,11 +38,11 @@ WAYS = (
 )
 RADIUS_M, METRES, DEGREES = 200.0, 3.0, 5.0
 MEMORY_BYTES = 48_000_000
-"""For tiles that were used last."""
+"""Size of the cache of tiles."""
 
 
 def asked(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
-    """Answers to the queries of some towns, with what each cost; memory is of this process."""
+    """Results of the queries of some towns, with the cost of each; memory is of this process."""
     place, has_prior = way.split(", ")[0], way in ("prior", "elsewhere, prior")
     tiles = TiledMap(work / ("wide" if WIDE in way else "tiles"), memory_bytes=MEMORY_BYTES)
     localizer = Localizer(tiles, Config(threads=1), clock=processor_clock)

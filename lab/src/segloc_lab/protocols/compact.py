@@ -32,7 +32,7 @@ _WHOLE = MappingConfig(compact=CompactConfig(enabled=False))
 
 
 def _some(**values: Any) -> MappingConfig:
-    """All that was measured, but for one thing."""
+    """All measurements except one."""
     kept = {"bits": 12, "max_views": 0, "cloud_bits": 4}
     return MappingConfig(compact=CompactConfig.model_validate({**kept, **values}))
 
@@ -52,7 +52,7 @@ WAYS: dict[str, MappingConfig] = {
 
 
 def made(whole: SegmentMap, mapping: MappingConfig) -> SegmentMap:
-    """Rebuild a map from the whole one with other settings."""
+    """Rebuild a map from the complete one with other settings."""
     cloud = VoxelCloud(whole.cloud, whole.origin, whole.cloud_voxel)
     cloud = cloud.moved_to(whole.origin, mapping.cloud_voxel)
     named = whole.descriptor, whole.fingerprint
@@ -61,13 +61,13 @@ def made(whole: SegmentMap, mapping: MappingConfig) -> SegmentMap:
 
 
 def kilometres(prior_map: SegmentMap) -> float:
-    """Of the path, without its gaps."""
+    """Return the length of the trajectory without gaps."""
     steps = np.linalg.norm(np.diff(prior_map.trajectory[:, :3, 3], axis=0), axis=1)
     return float(steps[steps < 10.0].sum()) / 1e3
 
 
 def load_ms(path: Path) -> float:
-    """The least processor time of several loads."""
+    """Return the minimum processor time of several loads."""
     spent = []
     for _ in range(REPEATS):
         start = time.process_time()
@@ -77,7 +77,7 @@ def load_ms(path: Path) -> float:
 
 
 class Comparison:
-    """Answers in maps made in one way, beside those in whole maps."""
+    """Results in maps of one kind, beside those in complete maps."""
 
     def __init__(self, data: Path, config: Config, only: str, step: int) -> None:
         self._queries: list[tuple[str, tuple[str, ...], Float64, Query]] = []
@@ -94,7 +94,7 @@ class Comparison:
         self._config, self._truly = whole, dict[tuple[int, str], Float64]()
 
     def answers(self, places: dict[str, SegmentMap]) -> list[dict[str, Any]]:
-        """One record for each query in each map of its place; the first call is the reference."""
+        """Return one record per query and map; the first call is the reference."""
         localizers = {name: Localizer(place, self._config) for name, place in places.items()}
         records, first = [], not self._truly
         for k, (name, own, truth, query) in enumerate(self._queries):
@@ -116,7 +116,7 @@ class Comparison:
 
 
 def counted(way: str, records: list[dict[str, Any]]) -> Iterator[tuple[Cell, ...]]:
-    """A row for each set of queries."""
+    """Return one row per set of queries."""
     for name in dict.fromkeys(r["queries"] for r in records):
         here = [r for r in records if r["queries"] == name]
         near = [r for r in here if r["near"]]
@@ -133,7 +133,7 @@ def main() -> None:
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--ways", nargs="*", default=list(WAYS), choices=list(WAYS))
     args = options.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)

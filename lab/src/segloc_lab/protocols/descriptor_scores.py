@@ -1,4 +1,4 @@
-"""Descriptors apart from the pipeline, side by side: areas, and recall in pools of any size.
+"""Descriptors without the pipeline: ROC areas, and recall in pools of any size.
 
     python -m segloc_lab.protocols.descriptor_scores DATASET --methods profile geo dsm
 
@@ -19,11 +19,11 @@ from ..training.metrics import KS, Report, load_descriptor, score_descriptor
 from ..training.shards import load_dataset
 
 AMONG = 25
-"""Of the nearest, in tables of pools."""
+"""Numbers of nearest neighbours in tables of pools."""
 
 
 def by_rank(reports: dict[str, Report]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
-    """Columns and rows: the area, and recall among ever more of the nearest."""
+    """Return columns and rows: the area, and recall among k nearest."""
     columns = ("method", "area under the ROC (95 %)", *(f"recall at {k}" for k in KS))
     rows: list[tuple[Cell, ...]] = [
         (name, str(report.auc), *(round(float(r), 3) for r in report.recalls[0][1]))
@@ -33,7 +33,7 @@ def by_rank(reports: dict[str, Report]) -> tuple[tuple[str, ...], list[tuple[Cel
 
 
 def by_pool(reports: dict[str, Report]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
-    """Columns and rows: recall among :data:`AMONG` in pools of each size."""
+    """Return columns and rows: recall among :data:`AMONG` in pools of each size."""
     sizes = [size for size, _ in next(iter(reports.values())).recalls]
     columns = ("method", *(f"{size} segments" for size in sizes))
     k = KS.index(AMONG)
@@ -50,7 +50,7 @@ def scored(
     distractors: Sequence[SegmentDataset],
     pools: Sequence[int],
 ) -> dict[str, Report]:
-    """Each descriptor by its name, or by the name of its file."""
+    """Return each descriptor by its name, or by its file's name."""
     return {
         Path(name).stem: score_descriptor(
             load_descriptor(name, 1), dataset, distractors, pools=pools

@@ -1,4 +1,4 @@
-"""Forests localized from scans alone: with stems as a second source of candidates, and without.
+"""Forests localized from scans alone, with stems as a second proposer and without.
 
 Simulated forests are mapped in summer by an HDL-64E. In a later session, with most leaves gone and
 a fifth of what can be moved replaced, single scans of a VLP-16 are taken on the mapped path and 10
@@ -44,7 +44,7 @@ Locate = Callable[[LocalCloud], Localization]
 
 @dataclass
 class Tally:
-    """What one method made of the queries of one kind."""
+    """Results of one method on queries of one kind."""
 
     queries: int = 0
     found: int = 0
@@ -53,7 +53,7 @@ class Tally:
     seconds: float = 0.0
 
     def add(self, answer: Localization, T_map_sensor: Pose | None, seconds: float) -> None:
-        """Count an answer; without a true pose, nothing is right."""
+        """Count a result; without a true pose every pose is false."""
         self.queries += 1
         self.seconds += seconds
         if not answer.localized:
@@ -67,7 +67,7 @@ class Tally:
         self.false += metres >= NEAR_M or degrees >= NEAR_DEG
 
     def cells(self) -> tuple[str, ...]:
-        """Its part of a row."""
+        """Return its part of a row."""
         return (
             share(self.found, self.queries),
             str(self.near - self.found),
@@ -77,7 +77,7 @@ class Tally:
 
 
 def methods(prior_map: SegmentMap) -> dict[str, Locate]:
-    """What is compared: segments and clouds, the same with stems, and stems by themselves."""
+    """Methods compared: segments and clouds, the same with stems, and stems alone."""
     config = Config.preset("profile").model_copy(update={"threads": 1})
     without = config.stems.model_copy(update={"enabled": False})
     alone = LandmarkLocalizer(stem_map(prior_map))
@@ -91,7 +91,7 @@ def methods(prior_map: SegmentMap) -> dict[str, Locate]:
 
 
 def stem_map(prior_map: SegmentMap) -> LandmarkMap:
-    """The stems that the cloud of a map shows."""
+    """Return the stems in the cloud of a map."""
     stems = StemFinder().find(prior_map.cloud, spacing=prior_map.cloud_voxel)
     columns = stems.moved(np.eye(4))
     positions, views = columns[:, :3] + prior_map.origin, np.ones(len(stems), np.int64)
@@ -112,13 +112,13 @@ class Forests:
         return SCENES["forest"](seed, size_m=SIZES_M["forest"])
 
     def map(self, seed: int) -> SegmentMap:
-        """Of the path through one forest."""
+        """Return the trajectory through one forest."""
         drive = mapped_drive(self.world(seed), seed, sensor_of(self.map_sensor))
         config = Config.preset("profile").model_copy(update={"threads": 1})
         return build_map(kept(drive, self.scans), config)
 
     def single(self, seed: int, every: int) -> Iterator[tuple[LocalCloud, Pose]]:
-        """Scans on the mapped path and beside it, with where they were taken."""
+        """Return scans on and beside the mapped trajectory, with true poses."""
         world, accumulator = self.world(seed), Accumulator()
         drive = mapped_drive(world, seed, sensor_of(self.sensor, self.columns, self.beams))
         later = replace(drive, session=1, conditions=LATER, seed=seed + 1)
@@ -136,7 +136,7 @@ class Forests:
                         yield alone, shifted.truth[i]
 
     def accumulated(self, seed: int, every_m: float) -> Iterator[tuple[LocalCloud, Pose]]:
-        """Clouds along the path in both directions, with where they end."""
+        """Return clouds along the trajectory in both directions, with true poses."""
         world, config = self.world(seed), Config()
         sensor = sensor_of(self.sensor, self.columns, self.beams)
         for drive in drives(world, seed, sensor, LATER).values():

@@ -1,4 +1,4 @@
-"""Robots that are carried away while their odometry notices nothing: how soon is that noticed?
+"""Time until kidnapped robots are detected, if odometry does not notice.
 
     python -m segloc_lab.protocols.kidnapping --worlds 48 --out kidnapping.jsonl
 
@@ -48,12 +48,12 @@ NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
 MAPPED_SHARE = 0.6
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
 WAYS = ("street", "turn", "outside")
-"""Where robots find themselves."""
+"""Places to which robots are kidnapped."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of world, and what drives through it."""
+    """A kind of world and its platform."""
 
     scene: str
     sensor: str
@@ -73,12 +73,12 @@ KINDS = (
     Kind("park", "hdl64e", 250.0),
     Kind("warehouse", "vlp16", 80.0, 220.0, 0.5, "wheeled"),
 )
-"""They take turns."""
+"""Used in turn."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one; metres, None where it did not happen."""
+    """Outcome of one trial; metres, None for events that did not happen."""
 
     seed: int
     number: int
@@ -94,7 +94,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Carried(Derived[Recording]):
-    """Parts of a drive one after another, with odometry that goes on between them.
+    """Parts of a drive in sequence, with continuous odometry.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Drive(Derived[SimulatedSequence]):
 
 
 class World:
-    """A map, and a drive that robots are carried about in.
+    """A map, and a drive with kidnapped robots.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ class World:
         )
 
     def trial(self, number: int) -> Trial:
-        """One robot; the same for the same number."""
+        """Return one trial; reproducible by its number."""
         rng = np.random.default_rng([self.seed, number])
         way = WAYS[number % len(WAYS)]
         taken, put, way = self._places(way, rng)
@@ -192,7 +192,7 @@ class World:
         return self._judged(number, way, played, carried, truths)
 
     def _places(self, way: str, rng: np.random.Generator) -> tuple[int, int, str]:
-        """Where a robot is taken from and put to; where there is no such place, to another."""
+        """Return where a robot is taken from and put to; another place if there is none."""
         spacing, truths = self.kind.spacing_m, self.drive.poses
         before = int(BEFORE_M / spacing)
         inside, known = self._inside, self.known
@@ -211,14 +211,14 @@ class World:
         return taken, taken, "turn"
 
     def _whole(self, where: NDArray[np.bool_], metres: float) -> Int64:
-        """Positions from which on so much of the drive is there."""
+        """Return positions with a complete stretch of the drive after them."""
         count = int(metres / self.kind.spacing_m)
         return np.array(
             [k for k in range(len(where) - count + 1) if where[k : k + count].all()], dtype=np.int64
         )
 
     def _carried(self, taken: int, put: int, turn: float, rng: np.random.Generator) -> Carried:
-        """The scans up to a place and from another on."""
+        """Return the scans up to one place and from another on."""
         spacing, truths = self.kind.spacing_m, self.drive.poses
         first = np.arange(max(0, taken - int(BEFORE_M / spacing)), taken + 1)
         second = np.arange(put, min(put + int(AFTER_M / spacing), len(truths)))
@@ -232,7 +232,7 @@ class World:
         return Carried(self.drive, positions, DRIFT.odometry(moved, rng), turns, clock, len(first))
 
     def _clock(self, first: Int64, second: Int64) -> Float64 | None:
-        """As in the drive, with a second between its parts."""
+        """Return the drive's stamps, with a second between its parts."""
         stamps = self.drive.stamps
         if stamps is None:
             return None
@@ -287,7 +287,7 @@ COLUMNS = (
 
 
 def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
-    """A row for each kind of world, one for each way, and one of all."""
+    """Return one row per kind of world, one per way, and one of all."""
     rows = []
     for kind in KINDS:
         here = [t for t in found if (t.scene, t.sensor) == (kind.scene, kind.sensor)]
@@ -329,7 +329,7 @@ def report(found: list[Trial], folder: Path | None) -> None:
 
 
 def read(paths: Iterable[Path]) -> list[Trial]:
-    """The trials of earlier runs, each once."""
+    """Return the trials of earlier runs, each once."""
     kept = [entry for path in paths if path.exists() for entry in entries(path)]
     found = {(t.seed, t.number): t for t in (Trial(**entry) for entry in kept)}
     return [found[key] for key in sorted(found)]

@@ -45,16 +45,16 @@ from . import city_queries
 from .city_queries import WAYS, WIDE
 
 ELSEWHERE = 10_000
-"""Added to the seeds of towns that are not in the map."""
+"""Added to the seeds of unmapped towns."""
 PIECE_S = 110.0
-"""A piece is not begun where less than this is left, and a twentieth of a whole limit."""
+"""Minimum time left to start a piece [s], plus a twentieth of the limit."""
 
 
 Line = tuple[str, str]
 
 
 class City:
-    """The towns of a city, and the folder in which it is made."""
+    """The towns of a city, and its folder."""
 
     def __init__(self, options: Namespace) -> None:
         self.options, self.work = options, options.work
@@ -73,7 +73,7 @@ class City:
         return Piece(k, options.first_seed + k, *drive, count, self.work / "pieces")
 
     def left(self) -> float:
-        """Seconds until the limit."""
+        """Return the seconds until the limit."""
         return self.until - time.time()
 
     def known(self) -> dict[str, Any]:
@@ -81,12 +81,12 @@ class City:
         return found
 
     def keep(self, **values: Any) -> None:
-        """Add to what was measured."""
+        """Append a measurement."""
         with replacing(self.kept) as stream:
             stream.write(json.dumps({**self.known(), **values}, indent=0).encode())
 
     def build(self) -> bool:
-        """Map all towns; whether all of them are."""
+        """Map the towns; return whether all are mapped."""
         last = self.until - self.options.piece_s
         tasks = [replace(p, until=last) for p in (*self.pieces, *self.foreign)]
         left = [task for task in tasks if not task.record.exists()]
@@ -99,7 +99,7 @@ class City:
         return all(made)
 
     def cut(self) -> None:
-        """The map of all towns, in tiles."""
+        """Build the map of all towns, in tiles."""
         if "cut" in self.known():
             return
         began, before = time.time(), _cpu_s()
@@ -119,12 +119,12 @@ class City:
         self.keep(cut=found)
 
     def widen(self) -> None:
-        """The same tiles in a thin map ten times as large."""
+        """Write the same tiles with a thin map ten times as large."""
         if "wide" not in self.known():
             self.keep(wide=widened(self.work / "tiles", self.work / "wide", 10))
 
     def ask(self) -> None:
-        """All queries, in a fresh process for each way of asking: side by side where cores are."""
+        """Run all queries, in a fresh process per way, in parallel if there are cores."""
         ways = [way for way in WAYS if way not in self.known()]
         at_once = min(len(ways), self.options.workers)
         for k in range(0, len(ways), max(at_once, 1)):
@@ -133,7 +133,7 @@ class City:
                 try:
                     ended = process.wait(max(self.left(), 1.0))
                 except subprocess.TimeoutExpired:
-                    process.kill()  # it is asked again by the next run
+                    process.kill()  # the next run repeats it
                     continue
                 if ended:
                     raise SystemExit(f"{way}: ended with status {ended}")
@@ -151,7 +151,7 @@ class City:
         return [piece.seed for piece in chosen if piece.queries]
 
     def scale(self) -> None:
-        """The same small piece for each of one, two and more workers: what of each is left."""
+        """Run the same small piece with one, two and more workers."""
         for workers in sorted({1, 2, self.options.workers}):
             name = f"workers {workers}"
             if name in self.known() or self.left() < self.options.piece_s:
@@ -169,7 +169,7 @@ class City:
             self.keep(**{name: {"wall_s": spent, "cpu_s": cpu_s}})
 
     def report(self) -> list[tuple[str, str]]:
-        """What was measured, a line each."""
+        """Return the measurements, one line each."""
         known = self.known()
         files = [piece.record for piece in self.pieces if piece.record.exists()]
         records = [json.loads(file.read_text()) for file in files] or known.get("records", [])
@@ -178,7 +178,7 @@ class City:
 
 
 def lines(known: dict[str, Any], records: list[dict[str, Any]], workers: int) -> list[Line]:
-    """All of them: of what is in the city's ``city.json``, and in the records of its towns."""
+    """Return all measurements of the city's ``city.json`` and of its towns."""
     found = _built(records)
     if cut := known.get("cut"):
         found += _cut(cut, sum(r["km"] for r in records))
@@ -221,7 +221,7 @@ def _cut(cut: dict[str, Any], km: float) -> list[Line]:
 
 
 def _scaled(known: dict[str, Any], most: int) -> list[Line]:
-    """How much of one worker's pace each of several has, where each does the same."""
+    """Return the speed of each of several workers relative to a single one."""
     if "workers 1" not in known:
         return []
     alone = known["workers 1"]["wall_s"]
@@ -257,7 +257,7 @@ def _answered(way: str, asked: dict[str, Any]) -> list[Line]:
 
 
 def _cpu_s() -> float:
-    """Processor time of this process and of those that it waited for."""
+    """Return the processor time of this process and its finished children."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
 
@@ -271,7 +271,7 @@ def main() -> None:
     options.add_argument("--length", type=float, default=1250.0, help="metres driven in each")
     options.add_argument("--thin", type=int, default=8, help="every n-th firing of the sensor")
     options.add_argument("--tile", type=float, default=150.0, help="edge of a tile, metres")
-    options.add_argument("--queried", type=int, default=4, help="one of so many towns is queried")
+    options.add_argument("--queried", type=int, default=4, help="query every N-th town")
     options.add_argument("--queries", type=int, default=8, help="in each of these")
     options.add_argument("--elsewhere", type=int, default=6, help="towns that are not in the map")
     options.add_argument("--workers", type=int, default=16)

@@ -1,4 +1,4 @@
-"""A robot followed at 10 Hz on one core: how much of the way it is known, and at what cost.
+"""A robot localized online at 10 Hz on one core: share of the way localized, and cost.
 
     python -m segloc_lab.protocols.live_streams --sensor hdl64e --seeds 5200 5201 5202 5203
     python -m segloc_lab.protocols.live_streams --kitti DATA
@@ -52,7 +52,7 @@ SAMPLE_SCANS = 600
 
 @dataclass(frozen=True)
 class Stream:
-    """Scans, where odometry says they were, and where they were.
+    """Scans with odometry and true poses.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Stream:
 
 
 def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> Stream:
-    """Full scans, a metre apart, of a drive through a town that was mapped on another day."""
+    """Full scans, one metre apart, of a drive through a town mapped on another day."""
     localizer, again = _town(sensor, seed, 330.0, length_m, STEP_M)
     driven = again.with_odometry()
     name = f"town, {sensor}"
@@ -81,7 +81,7 @@ def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> S
 def _town(
     sensor: str, seed: int, size_m: float, length_m: float, spacing_m: float
 ) -> tuple[Localizer, SimulatedSequence]:
-    """A town that was mapped, and a drive through it on another day."""
+    """A mapped town, and a drive through it on another day."""
     world = SCENES["town"](seed, size_m=size_m)
     days = [Conditions(), Conditions(replaced=0.1)]
     mapped = simulate_sessions(world, SENSORS["hdl64e"](900), days, length_m=length_m, seed=seed)[0]
@@ -107,7 +107,7 @@ def _localizer(mapped: Recording) -> Localizer:
 
 @dataclass(frozen=True)
 class Step:
-    """What was said after a scan, and what it cost; milliseconds of the processor."""
+    """State after a scan, and its processor time [ms]."""
 
     state: State
     scan_ms: float
@@ -115,7 +115,7 @@ class Step:
 
 
 def followed(core: LiveCore, scan: Scan, stamp: float, T_odom_sensor: Float64) -> Step:
-    """Let a scan be taken in, and its queries be answered."""
+    """Add a scan, and make its queries."""
     begun = time.process_time()
     core.add_odometry(stamp, T_odom_sensor)
     core.add_scan(scan, stamp)
@@ -129,7 +129,7 @@ def followed(core: LiveCore, scan: Scan, stamp: float, T_odom_sensor: Float64) -
 
 
 def error(state: State, truth: Float64) -> tuple[float, float]:
-    """Metres and degrees that a pose is off; infinite without one."""
+    """Return the error of a pose [m, deg]; infinite without one."""
     if state.T_map_base is None:
         return float("inf"), float("inf")
     metres, degrees = pose_errors(state.T_map_base[None], truth[None])
@@ -137,7 +137,7 @@ def error(state: State, truth: Float64) -> tuple[float, float]:
 
 
 def within_three_sigma(state: State, truth: Float64) -> bool:
-    """Whether the position is off by at most three of its own standard deviations."""
+    """Return whether the position error is at most three standard deviations."""
     if state.covariance is None or state.T_map_base is None:
         return False
     sigma = float(np.sqrt(np.linalg.eigvalsh(state.covariance[3:, 3:])[-1]))
@@ -145,12 +145,12 @@ def within_three_sigma(state: State, truth: Float64) -> bool:
 
 
 def right(metres: float, degrees: float, off_m: float) -> bool:
-    """Whether a pose is where it is said to be."""
+    """Return whether a pose is within the tolerance."""
     return metres <= off_m and degrees <= OFF_DEG
 
 
 def stream_record(stream: Stream) -> dict[str, Any]:
-    """Follow a robot along all of a stream, and switch it on anew along it."""
+    """Localize along a stream, and restart along it."""
     steps = list(_along(stream, range(len(stream.odometry))))
     covered = _covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
@@ -197,7 +197,7 @@ def _covered(stream: Stream) -> np.ndarray:
 
 
 def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
-    """Metres driven until localized, from places of the map on; None: not on the map's path."""
+    """Return metres until localized, from places of the map; None off the map's trajectory."""
     travelled, found = geometry.travelled(stream.truths), []
     for start in np.arange(0.0, travelled[-1], STARTS_M):
         first = int(np.searchsorted(travelled, start))
@@ -213,7 +213,7 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
 
 
 def memory(seed: int, minutes: int, root: Path, ends: float) -> Iterator[dict[str, Any]]:
-    """A robot with a VLP-16 goes there and back along a street; a sample every minute."""
+    """Drive back and forth along a street with a VLP-16; sample memory every minute."""
     localizer, driven = _town("vlp16", seed, 200.0, STREET_M, SLOW_M)
     recording = kept(driven, root)
     positions = there_and_back(len(driven), round(minutes * 60 * RATE_HZ))
@@ -243,7 +243,7 @@ def memory(seed: int, minutes: int, root: Path, ends: float) -> Iterator[dict[st
 
 
 def there_and_back(count: int, total: int) -> Int64:
-    """Positions from the first to the last, back to the first, and so on."""
+    """Yield positions from first to last and back, repeatedly."""
     lap = np.concatenate([np.arange(count), np.arange(count - 2, 0, -1)])
     return np.resize(lap, total).astype(np.int64)
 
@@ -277,7 +277,7 @@ MINUTES = (1, 5, 10, 20, 30, 40, 50, 60)
 
 
 def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """A row for each kind of stream."""
+    """Return one row per kind of stream."""
     rows: list[tuple[Cell, ...]] = []
     for name in sorted({r["stream"] for r in records}):
         here = [r for r in records if r["stream"] == name]
@@ -329,7 +329,7 @@ def _spread(values: Iterable[float], high: int, digits: int) -> str:
 
 
 def memory_table(samples: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """Some of the samples, and the last."""
+    """Return some of the samples, and the last."""
     chosen = [s for s in samples if s["minute"] in MINUTES or s is samples[-1]]
     return [
         (
@@ -345,7 +345,7 @@ def memory_table(samples: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
 
 
 def report(records: list[dict[str, Any]], folder: Path | None) -> None:
-    """Publish the tables of the streams, and of memory where it was noted."""
+    """Publish the tables of the streams, and of memory if measured."""
     streams = [r for r in records if "stream" in r]
     samples = sorted((r for r in records if "minute" in r), key=lambda s: float(s["minute"]))
     tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
@@ -358,7 +358,7 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """What earlier runs have written."""
+    """Return the records of earlier runs."""
     return [entry for path in paths for entry in entries(path)]
 
 
@@ -368,7 +368,9 @@ def main() -> None:
     options.add_argument("--seeds", type=int, nargs="*", default=[5200])
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
     options.add_argument("--kitti", type=Path, metavar="DATA")
-    options.add_argument("--minutes", type=int, help="memory over so many minutes of stream")
+    options.add_argument(
+        "--minutes", type=int, help="minutes of stream over which memory is measured"
+    )
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()

@@ -1,4 +1,4 @@
-"""Odd inputs through the command line: each must end in an answer or one line, within seconds.
+"""Odd inputs through the command line: each must give an answer or one line, within seconds.
 
     python -m segloc_lab.protocols.odd_inputs FOLDER... [--fuzz BYTES] [--report FOLDER]
 
@@ -30,7 +30,7 @@ from segloc.sample import load
 from ..report import Cell, Table, publish, reporting
 
 LIMIT_S = 10.0
-"""Longest time that one command may take [s], start of the process left out."""
+"""Maximum time of one command, without the start of the process [s]."""
 
 _POSES = (".tum", ".txt", ".csv")
 _MAX_BYTES = 1 << 20  # of an input that is damaged
@@ -62,7 +62,7 @@ class Outcome:
 
 
 class CommandLine:
-    """Runs verbs one after another in a child process, which is replaced if it hangs or dies."""
+    """Run verbs in a child process, which is replaced if it hangs or dies."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[str] | None = None
@@ -108,21 +108,21 @@ def _line_within(child: subprocess.Popen[str], limit_s: float) -> str:
 
 
 def inputs(folders: list[Path]) -> Iterator[Path]:
-    """The files and the folders of scans or bags below some folders."""
+    """Return the files and the folders of scans or bags below some folders."""
     for folder in folders:
         for case in sorted(folder.iterdir()):
             yield from sorted(case.iterdir()) if case.is_dir() else [case]
 
 
 def words_for(path: Path, scans: Path) -> tuple[str, ...]:
-    """The command for an input: a pose file belongs to the scans of the sample."""
+    """Return the command for an input, with the sample's pose file for its scans."""
     if path.is_file() and path.suffix in _POSES:
         return "doctor", str(scans), "--poses", str(path)
     return "doctor", str(path)
 
 
 def damaged(path: Path, folder: Path, rng: np.random.Generator) -> tuple[Path, int]:
-    """Copy an input with bytes of one of its files changed or cut off; how many were."""
+    """Copy an input with bytes of one file changed or removed; return how many."""
     copy = folder / path.name
     shutil.rmtree(copy, ignore_errors=True)
     if path.is_dir():
@@ -146,7 +146,7 @@ def damaged(path: Path, folder: Path, rng: np.random.Generator) -> tuple[Path, i
 
 
 def fuzz(paths: list[Path], most_bytes: int, seed: int = 0) -> list[list[Cell]]:
-    """Give damaged copies to the command line; rows of how they ended, by input."""
+    """Run damaged copies; return rows of outcomes by input."""
     rng, line = np.random.default_rng(seed), CommandLine()
     small = [path for path in paths if _size(path) <= _MAX_BYTES]
     ends: dict[str, Counter[str]] = {path.name: Counter() for path in small}

@@ -85,7 +85,7 @@ class Answers:
 
 
 def drives(kind: str, seed: int) -> tuple[list[SimulatedSequence], list[SimulatedSequence]]:
-    """The sessions to map, and those to localize; of a building one for each storey."""
+    """Return the sessions to map, and those to localize; of a building one per storey."""
     if kind != BUILDING:
         world = simulated(kind, seed)
         return [world.mapped], list(world.queries.values())

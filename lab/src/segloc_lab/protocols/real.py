@@ -32,7 +32,7 @@ from ..recordings import FewerBeams, Files, Turned
 from ..report import Table, publish, reporting, share, show, wilson
 
 OUT, BACK = "0:74", "82:104"
-"""The scans of the corridor that are mapped, and those on the way back."""
+"""Scans of the corridor that are mapped, and those on the way back."""
 TOLERANCE = Tolerance()
 COLUMNS = (
     "queries",
@@ -47,7 +47,7 @@ LAB = ("0618", "0622a", "0622b", "0622c")
 
 @dataclass(frozen=True)
 class Queries:
-    """Scans of one place, and where each was taken in the frame of the place's maps.
+    """Scans of one place with true poses in its maps' frame.
 
     Names of queries and maps begin with that of the place.
 
@@ -106,7 +106,7 @@ def _lab(data: Path, session: str, posed: bool = True) -> Recording:
 
 
 def queries(data: Path, step: int) -> Iterator[Queries]:
-    """All queries, first those of a level sensor; ``step`` thins those of KITTI."""
+    """Return all queries, first those of a level sensor; ``step`` thins those of KITTI."""
     yield from _corridor_queries(data)
     yield from _lab_queries(data)
     yield from _kitti_queries(data / "kitti00", step)
@@ -161,7 +161,7 @@ def _kitti_queries(kitti: Path, step: int) -> Iterator[Queries]:
 
 
 def _seen(turned: Turned, truths: Float64, positions: Int64 | None = None) -> Float64:
-    """The poses of the turned sensor."""
+    """Return the poses of the turned sensor."""
     positions = np.arange(len(truths), dtype=np.int64) if positions is None else positions
     turns = (turned.T_turned_level(int(i)) for i in positions)
     return np.stack([T @ geometry.inverse(turn) for T, turn in zip(truths, turns, strict=True)])
@@ -239,7 +239,7 @@ class Judge:
 
 
 def outcome(estimate: Pose | None, truth: Pose | None) -> str:
-    """Whether an estimate is found, false, or refused; without a truth any is false."""
+    """Classify an estimate as found, false, or rejected; without a truth any is false."""
     if estimate is None:
         return "refused"
     if truth is None:
@@ -250,7 +250,7 @@ def outcome(estimate: Pose | None, truth: Pose | None) -> str:
 
 
 def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
-    """A row for each set of queries."""
+    """Return one row per set of queries."""
     found: list[tuple[str | int, ...]] = []
     for name in dict.fromkeys(r["queries"] for r in records):
         here = [r for r in records if r["queries"] == name]
@@ -265,7 +265,7 @@ def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
 
 
 def report(records: list[dict[str, Any]]) -> None:
-    """The table, and what is false."""
+    """Return the table, and the false results."""
     show(COLUMNS, rows(records))
     for r in records:
         if r["outcome"] == "false":
@@ -273,7 +273,7 @@ def report(records: list[dict[str, Any]]) -> None:
 
 
 def note(records: list[dict[str, Any]], method: str, step: int, foreign: bool) -> str:
-    """Explain the table, with the bound of false answers elsewhere."""
+    """Explain the table, with the bound of the false rate elsewhere."""
     elsewhere = [r for r in records if not r["within_coverage"]]
     _, most = wilson(sum(r["outcome"] == "false" for r in elsewhere), len(elsewhere))
     where = "beyond the path of the own map"
@@ -291,7 +291,7 @@ def main() -> None:
     options.add_argument("data", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--only", default="", help="queries whose name starts so")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries of KITTI")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--own", action="store_true", help="leave out the maps of other places")
     options.add_argument("--clouds", action="store_true", help="maps from clouds without poses")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")

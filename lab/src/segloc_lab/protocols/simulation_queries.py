@@ -45,16 +45,16 @@ from ..stages import processor_clock
 
 STOREYS = 5
 COVERED_M = 1.5
-"""Indoors a path this near is on the same side of a wall."""
+"""Indoors, a trajectory within this distance is on the same side of a wall [m]."""
 JUNCTION_M, BARE_M = 6.0, 12.0
-"""A mine's query this near a junction is at one; that far from any it is on a stretch."""
+"""In mines, a query this close to a junction is at it; that far from any, on a stretch [m]."""
 
 Make = Callable[[int], World]
 
 
 @dataclass(frozen=True)
 class Side:
-    """What records: a sensor, its carrier, and how many scans in a row make one cloud."""
+    """Sensor, platform, and number of consecutive scans per cloud."""
 
     sensor: str
     carrier: str
@@ -101,12 +101,12 @@ class Scenario:
     halved: bool = False
 
     def map_drives(self, seed: int) -> list[SimulatedSequence]:
-        """What the map is made of, a drive a storey."""
+        """Return the mapped drives, one per storey."""
         drives = [self._drives(self.world, seed, self.mapped, k)[0] for k in self.storeys]
         return [first_half(drive) for drive in drives] if self.halved else drives
 
     def queries(self, seed: int, count: int) -> list[tuple[SimulatedSequence, str]]:
-        """Clouds of later sessions, each a drive of its scans of which the last is the query.
+        """Return clouds of later sessions as drives whose last scan is the query.
 
         Returns
         -------
@@ -141,7 +141,7 @@ class Scenario:
 
 
 def _ending(drive: SimulatedSequence, i: int, scans: int) -> SimulatedSequence:
-    """So many scans at the sensor's rate, the last of them at position i."""
+    """Return ``count`` scans at the sensor's rate, the last at position i."""
     assert drive.motion is not None and drive.stamps is not None
     stamps = drive.stamps[i] + np.arange(1 - scans, 1) / drive.sensor.rate_hz
     stamps = np.maximum(stamps, drive.stamps[0])
@@ -160,12 +160,12 @@ def _where(drive: SimulatedSequence, i: int) -> str:
 
 
 def within_a_second(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
-    """The scans with poses as odometry has them within a second."""
+    """Return the scans with odometry of about a second."""
     return drive.with_odometry() if noisy and len(drive) > 1 else drive
 
 
 def tilt_deg(T: np.ndarray) -> float:
-    """Of the sensor's z axis from the vertical."""
+    """Return the angle between the sensor's z axis and the vertical."""
     return float(np.degrees(geometry.rotation_angle(T @ np.linalg.inv(geometry.levelled(T)))))
 
 
@@ -207,7 +207,7 @@ def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
 
 
 def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
-    """Some storeys are mapped, and queries are from the others."""
+    """Map some storeys, and query the others."""
     others = tuple(storey for storey in _ALL if storey not in mapped)
     name = five.map_name.replace("building", name)
     return replace(five, expected="refused", map_name=name, storeys=mapped, query_storeys=others)
@@ -222,13 +222,13 @@ def _four_floors(five: Scenario) -> Scenario:
 
 
 def _half_of_each(five: Scenario) -> Scenario:
-    """Every storey is mapped by half, and queries are from all of it."""
+    """Map half of every storey, and query all of it."""
     name = five.map_name.replace("building", "half")
     return replace(five, expected="any", map_name=name, halved=True)
 
 
 def scenarios() -> dict[str, Scenario]:
-    """All of them; a line of the table is what stands before the colon."""
+    """Return all scenarios; a line of the table is the name before the colon."""
     halls, rooms, pits = SCENES["warehouse"], SCENES["offices"], SCENES["mine"]
     found = {
         "halls, handheld OS0-128": Scenario("halls", halls, _OS0, _HANDHELD),
@@ -277,13 +277,13 @@ def scenarios() -> dict[str, Scenario]:
 
 METRES, DEGREES, HEIGHT_M = 3.0, 5.0, 1.5
 SCANS = "scans"
-"""The folder in WORK where scans are kept."""
+"""Folder of scans in WORK."""
 ATTITUDE_DEG = 3.0
 Row = dict[str, Any]
 
 
 def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
-    """The map of a scenario, made once."""
+    """Return the map of a scenario, built once."""
     path = work / "maps" / f"{scenario.map_name}-{seed}.segmap"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -296,14 +296,14 @@ def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
 
 
 def localizer_of(scenario: Scenario, seed: int, work: Path) -> Localizer:
-    """Of one thread, in the map of a scenario."""
+    """Return a localizer with one thread in the map of a scenario."""
     localizer = Localizer(prior_map(scenario, seed, work))
     config = localizer.config.model_copy(update={"threads": 1})
     return Localizer(localizer.prior_map, config)
 
 
 def cloud_of(drive: SimulatedSequence, work: Path) -> list[Scan]:
-    """The scans of one query: with odometry where there are several, and else without a pose."""
+    """Return the scans of one query: with odometry if several, else without a pose."""
     cast = kept(drive, work / SCANS)
     scans = [cast.scan(i) for i in range(len(drive))]
     if len(scans) == 1:
@@ -313,7 +313,7 @@ def cloud_of(drive: SimulatedSequence, work: Path) -> list[Scan]:
 
 
 def errors(T: Pose, truth: Pose) -> tuple[float, float, float]:
-    """Metres, degrees, and metres in height."""
+    """Return errors in metres, degrees, and metres of height."""
     delta = geometry.inverse(truth) @ T
     angle = float(np.degrees(geometry.rotation_angle(delta)))
     return float(np.linalg.norm(delta[:3, 3])), angle, float(T[2, 3] - truth[2, 3])
@@ -325,7 +325,7 @@ def is_right(T: Pose, truth: Pose) -> bool:
 
 
 def measured(localizer: Localizer, scans: list[Scan], truth: Pose, within: bool) -> Row:
-    """One answer, and of one that is not right what was missing."""
+    """Return one result, with the missing part of a wrong one."""
     watch = StageTimes(processor_clock)
     with watch("query"):
         result = localizer.localize(scans)
@@ -352,7 +352,7 @@ def measured(localizer: Localizer, scans: list[Scan], truth: Pose, within: bool)
 
 
 def missing(localizer: Localizer, scans: list[Scan], truth: Pose) -> Row:
-    """What kept a query within coverage from being found."""
+    """Return why a query within coverage was not found."""
     query = localizer.describe(scans)
     search = localizer.search(query)
     T_local_sensor = query.cloud.T_local_sensor
@@ -377,7 +377,7 @@ def missing(localizer: Localizer, scans: list[Scan], truth: Pose) -> Row:
 
 
 def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row]:
-    """The answers to the queries of one seed."""
+    """Localize the queries of one seed."""
     localizer = localizer_of(scenario, seed, work)
     within = scenario.expected != "refused"
     for drive, where in scenario.queries(seed, count):
@@ -399,7 +399,7 @@ COLUMNS = (
 
 
 def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
-    """A line of the table."""
+    """Return a line of the table."""
     right = sum(r["right"] for r in rows)
     false = [r for r in rows if r["localized"] and not r["right"]]
     floors = sum(abs(r.get("errors", (0, 0, 0))[2]) > HEIGHT_M for r in false)
@@ -412,7 +412,7 @@ def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
 
 
 def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
-    """One line a scenario, in mines one a kind of place."""
+    """Return one line per scenario, in mines one per kind of place."""
     lines: dict[tuple[str, str], list[Row]] = {}
     for key, rows in results.items():
         scenario = key.rsplit("/", 1)[0]

@@ -1,4 +1,4 @@
-"""The runs that ``kitti00.sh`` left, as a table.
+"""Table of the runs of ``kitti00.sh``.
 
 python -m segloc_lab.protocols.table OUT/*-*/ --report FOLDER
 """
@@ -17,7 +17,7 @@ PROTOCOLS = ("accumulated", "single", "sparse")
 
 
 def cells(folder: Path) -> tuple[str | int, ...]:
-    """One run as a row of the table."""
+    """Return one run as a row of the table."""
     summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return (
         folder.name,

@@ -32,7 +32,7 @@ SETS = ("accumulated", "sparse")
 def described(
     data: Path, name: str, localizer: Localizer, path: Float64, step: int
 ) -> Iterator[tuple[Query, Pose]]:
-    """The queries within map coverage, and where they were taken."""
+    """Return the queries within map coverage, and their true poses."""
     chosen = kitti00.query_set(data, name)
     truths = chosen.truths
     assert truths is not None
@@ -44,7 +44,7 @@ def described(
 
 
 def elsewhere(truth: Pose, path: Float64, rng: np.random.Generator) -> Float64:
-    """A place of the map that is not near the truth."""
+    """Return a place of the map far from the truth."""
     distances = np.linalg.norm(path[:, :2, 3] - truth[:2, 3], axis=1)
     far: Float64 = path[distances > RADIUS_M + FAR_M, :2, 3]
     chosen: Float64 = far[rng.integers(len(far))]
@@ -53,7 +53,7 @@ def elsewhere(truth: Pose, path: Float64, rng: np.random.Generator) -> Float64:
 
 @dataclass(frozen=True)
 class Places:
-    """One map in one piece and in tiles.
+    """One map untiled and in tiles.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Places:
     path: Float64
 
     def ways(self, rng: np.random.Generator) -> dict[str, Callable[[Query, Pose], Localization]]:
-        """How each query is localized."""
+        """Return how each query is localized."""
 
         def near(T: Pose) -> Prior:
             return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
@@ -85,7 +85,7 @@ class Places:
         }
 
     def rows(self, name: str, queries: list[tuple[Query, Pose]]) -> Iterator[tuple[Cell, ...]]:
-        """What is found in each way, and what it takes."""
+        """Measure results and cost of each way."""
         for way, locate in self.ways(np.random.default_rng(0)).items():
             outcomes, spent = [], []
             for query, truth in queries:
@@ -104,7 +104,7 @@ def main() -> None:
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
     options.add_argument("--size", type=float, default=250.0, help="edge of a tile, metres")
-    options.add_argument("--step", type=int, default=1, help="one of so many queries")
+    options.add_argument("--step", type=int, default=1, help="use every STEP-th query")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     args.out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The tracker on a real drive: keyframes one by one, with odometry, on the map and far beyond it.
+"""The tracker on a real drive: keyframes with odometry, on the map and far beyond it.
 
 The first half of KITTI 00 is mapped and the second driven; then short parts are mapped, and all the
 rest is driven from where they end, along streets that go on as the mapped ones did. What is held
@@ -30,7 +30,7 @@ FALSE_M = 4.0
 
 
 def held(localizer: Localizer, drive: Sequence, step: int) -> Float64:
-    """For every ``step``-th scan: how far its tracked position is off, metres; NaN if unknown."""
+    """Return the position error of every ``step``-th scan [m]; NaN if unknown."""
     tracker, poses = Tracker(localizer), poses_of(drive)
     errors = []
     for i in range(0, len(drive), step):

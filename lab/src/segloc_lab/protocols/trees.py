@@ -1,4 +1,4 @@
-"""Tree stems as landmarks: a real forest, each frame against the map of the frames before it.
+"""Tree stems as landmarks: a real forest, each frame against the map of earlier frames.
 
     python -m segloc_lab.protocols.trees DATA --out trees.jsonl
 
@@ -33,12 +33,12 @@ BEHIND_M = 50.0
 REVISIT_M = 3.0
 RIGHT_M, RIGHT_DEG = 2.0, 5.0
 FAR_M = 3.0
-"""Poses of two passes agree only roughly: what is wrong by more is wrong beyond doubt."""
+"""Poses of two passes agree roughly; larger errors are certain [m]."""
 
 
 @dataclass(frozen=True)
 class Forest:
-    """Detections of N frames, and where they were made.
+    """Detections of N frames with their poses.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Forest:
         return cls(frames, poses, behind, gaps)
 
     def queries(self, every: int) -> Iterator[tuple[int, LandmarkMap]]:
-        """Numbers of frames that have any behind them, with the map of those."""
+        """Return frame numbers with earlier frames, each with their map."""
         mapper, added = LandmarkMapper(), 0
         for k in np.flatnonzero(self.behind)[::every]:
             for i in range(added, self.behind[k]):
@@ -84,7 +84,7 @@ class Forest:
 
 @dataclass(frozen=True)
 class Thinning:
-    """Which share of the landmarks is kept, and by how much each is moved along each axis.
+    """Share of landmarks kept, and noise along each axis.
 
     Map and query are thinned independently, and anew for each query.
     """
@@ -94,14 +94,14 @@ class Thinning:
     seed: int = 0
 
     def query(self, landmarks: Landmarks, number: int) -> Landmarks:
-        """What is left of a query's landmarks."""
+        """Return the remaining landmarks of a query."""
         kept, noise = self._drawn(len(landmarks), (self.seed, 0, number))
         assert landmarks.diameters is not None
         positions = (landmarks.positions + noise)[kept]
         return Landmarks(positions, landmarks.directions[kept], landmarks.diameters[kept])
 
     def map(self, prior_map: LandmarkMap, number: int) -> LandmarkMap:
-        """What is left of a map for one query."""
+        """Return the remaining map for one query."""
         kept, noise = self._drawn(len(prior_map), (self.seed, 1, number))
         return LandmarkMap(
             (prior_map.positions + noise)[kept],
@@ -118,7 +118,7 @@ class Thinning:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one query."""
+    """Outcome of one query."""
 
     frame: int
     gap_m: float
@@ -138,12 +138,12 @@ class Outcome:
 
     @property
     def far(self) -> bool:
-        """False beyond what the poses themselves may be off."""
+        """True if the error exceeds that of the poses themselves."""
         return self.false and (self.metres > FAR_M or self.degrees > RIGHT_DEG)
 
 
 def outcomes(forest: Forest, thinning: Thinning, every: int, mirrored: bool) -> Iterator[Outcome]:
-    """Every query's outcome; in the mirror image of the map, nothing is right."""
+    """Return every query's outcome; in the mirrored map every pose is false."""
     for k, whole in forest.queries(every):
         prior_map = thinning.map(whole, k)
         if mirrored:
@@ -161,7 +161,7 @@ def outcomes(forest: Forest, thinning: Thinning, every: int, mirrored: bool) -> 
 
 
 def summary(found: list[Outcome]) -> dict[str, Any]:
-    """Figures of one run, in values that JSON can hold."""
+    """Return figures of one run as JSON values."""
     revisits = [o for o in found if o.gap_m <= REVISIT_M]
     others = [o for o in found if o.gap_m > REVISIT_M]
     times = np.array([o.milliseconds for o in revisits])
@@ -199,12 +199,12 @@ WAYS: dict[str, tuple[Thinning, int, bool]] = {
     "50 %, moved by 0.1 m": (Thinning(0.5, 0.1), 1, False),
     "all, mirrored maps": (Thinning(), 8, True),
 }
-"""What is left of the stems, one of how many queries, and whether the map is mirrored."""
+"""Share of stems kept, thinning of queries, and whether the map is mirrored."""
 COLUMNS = ("stems", "revisits found", "of others", "false of all", "ms, median / 95 %", "error m")
 
 
 def cells(name: str, run: Mapping[str, Any]) -> tuple[Cell, ...]:
-    """A row of the table."""
+    """Return a row of the table."""
     return (
         name,
         share(run["found"], run["revisits"]),
@@ -225,7 +225,7 @@ def report(runs: list[dict[str, Any]], folder: Path | None) -> None:
 def main() -> None:
     options = resumed(__doc__, "trees.jsonl")
     options.add_argument("data", type=Path)
-    options.add_argument("--every", type=int, default=1, help="of so many queries, one")
+    options.add_argument("--every", type=int, default=1, help="use every N-th query")
     args = options.parse_args()
     done = entries(args.out) if args.out.exists() else []
     forest = Forest.load(args.data)

@@ -41,7 +41,7 @@ Kinds = dict[str, list[tuple[Query, Pose]]]
 
 
 def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
-    """The queries along a drive, by what they are made of, and where the sensor was."""
+    """Return the queries along a drive by kind, and the true positions."""
     found: Kinds = {"accumulated": [], "single": [], "thinned": []}
     assert drive.poses is not None
     along = views(drive, every_m, localizer.config.local_cloud)
@@ -54,7 +54,7 @@ def queries(localizer: Localizer, drive: Sequence, every_m: float) -> Kinds:
 
 
 class WrongMaps:
-    """The maps so far, and what queries that they do not hold found in them."""
+    """Maps built so far, and results of queries from elsewhere."""
 
     def __init__(self, folder: Path, out: Path, every_m: float) -> None:
         self._config = Config.preset("profile").model_copy(update={"threads": 1})
@@ -64,7 +64,7 @@ class WrongMaps:
         self._maps: list[Localizer] = []
 
     def add(self, world: SimulatedWorld) -> None:
-        """Count a world's queries in all maps before it, unless that was done; keep its map."""
+        """Count a world's queries in all earlier maps, unless done; store its map."""
         own = self._localizer(self._map(world))
         mirror = self._localizer(mirrored(own.prior_map))
         if not any(record["world"] == world.name for record in self.records):
@@ -128,7 +128,7 @@ COLUMNS = (
 
 
 def table(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
-    """A row for each kind of world, and one of all."""
+    """Return one row per kind of world, and one of all."""
     rows: list[tuple[str | int, ...]] = []
     for name in (*KINDS, "all"):
         here = [r for r in records if name in ("all", _kind(r))]
@@ -145,12 +145,12 @@ def _kind(record: dict[str, Any]) -> str:
 
 
 def _away(record: dict[str, Any]) -> tuple[int, int]:
-    """Queries in maps that do not hold them, and what was found."""
+    """Count queries in maps that do not contain them, and poses found."""
     return sum(record["counts"].values()), sum(each["map"] >= 0 for each in record["false"])
 
 
 def _mirrored(record: dict[str, Any]) -> tuple[int, int]:
-    """The same in the mirror image of their own map, the last one, where it differs from it."""
+    """Count the same in the mirrored last map, if it differs."""
     if KINDS[_kind(record)].alike:
         return 0, 0
     last = record["maps"] - 1
@@ -176,7 +176,7 @@ def _home(counts: Counter[str], place: str) -> tuple[str, int]:
 
 
 def chosen(first_seed: int, number: int, skip: int = 0) -> Iterator[SimulatedWorld]:
-    """So many worlds, of all kinds in turn, after the first ones."""
+    """Return ``count`` worlds, of all kinds in turn, after the first ones."""
     each = -(-(skip + number) // len(KINDS))
     yield from islice(worlds(first_seed, each, list(KINDS)), skip, skip + number)
 

@@ -16,7 +16,7 @@ from .worlds import SCENES
 from .worlds.world import Conditions
 
 SWATHE_M = 30.0
-_SHORTEST_M = 90.0
+_MIN_M = 90.0
 _UNKNOWN_WORLDS = 500  # seeds of training worlds lie this far from those of test worlds
 
 PAPER = "paper"
@@ -87,7 +87,7 @@ class TestSet:
         """Metres of each session."""
         if scale not in self.share:
             raise ConfigError(f"scale must be one of {', '.join(self.share)}, not {scale!r}")
-        return max(_SHORTEST_M, self.share[scale] * self.length_m / len(self.tests))
+        return max(_MIN_M, self.share[scale] * self.length_m / len(self.tests))
 
     def sessions(self, scale: str = "small", *, seed: int = 0) -> dict[str, Sequence]:
         """``map``, and ``test_0`` and so on; their scans are cast when asked for.

@@ -1,4 +1,4 @@
-"""The paper's own protocol on KITTI 00; K is chosen at training places.
+"""The paper's protocol on KITTI 00; K is chosen at training places.
 
 Answers are kept as JSON, a file a method: only methods that miss are measured.
 """
@@ -41,9 +41,9 @@ from ..evaluation.comparison import (
     METHODS,
     build_maps,
     fingerprint,
-    on_the_cloud_of,
     published_estimator,
     shared_config,
+    with_map_cloud,
 )
 from ..evaluation.scenario import MAX_GAP_M
 from ..kitti00 import keyframes, poses_of
@@ -51,15 +51,15 @@ from ..report import Table, code, commit, mcnemar, share
 from .paper.published import LOCALIZATIONS
 
 LAST_M, EVERY_M = 1300.0, 9.7
-"""What is localized, and how often: 133 clouds (the paper has 134)."""
+"""Clouds localized, and the spacing: 133 clouds (the paper has 134)."""
 
 TRAINING_FROM = 561
-"""First keyframe of the part that is localized to choose K; earlier ones are mapped for that."""
+"""First keyframe localized to choose K; earlier ones are mapped for that."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A map, and queries that none of its scans is among.
+    """A map, and queries from none of its scans.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Part:
     distances: Float64
 
     def between(self, first: int, stop: int) -> Part:
-        """The same part with some of its queries."""
+        """Return the same part with some of its queries."""
         some = slice(first, stop)
         return replace(self, positions=self.positions[some], distances=self.distances[some])
 
@@ -90,21 +90,21 @@ def _split(data: Path, first: int) -> tuple[Drive, Drive]:
 
 
 def first_query(data: Path) -> int:
-    """The keyframe at which the last 1300 m begin."""
+    """Return the keyframe at which the last 1300 m start."""
     drive = keyframes(data)
     way = geometry.travelled(poses_of(drive))
     return int(drive.indices[np.searchsorted(way, way[-1] - LAST_M)])
 
 
 def test_part(data: Path) -> Part:
-    """The last 1300 m, a query every 9.7 m, in the map of everything before."""
+    """Return the last 1300 m, a query every 9.7 m, in the map of everything before."""
     mapped, queried = _split(data, first_query(data))
     positions = query_positions(poses_of(queried), EVERY_M, MAX_GAP_M)
     return _part(mapped, queried, positions)
 
 
 def training_part(data: Path) -> Part:
-    """Places of the test's map alone: every keyframe near an earlier one, elsewhere every 19.4 m.
+    """Return places of the test's map: keyframes near an earlier one, else one every 19.4 m.
 
     What lies beyond the map's places are the negatives by which thresholds are set. (A mirror image
     of the map is none here: an estimator in SE(3) finds it, upside down.)
@@ -127,28 +127,28 @@ def _part(mapped: Drive, queried: Drive, positions: Int64) -> Part:
 
 ESTIMATORS = ("published", "votes")
 NEIGHBOURS = (25, 200)
-"""Among which K is chosen: the paper found 25 best for learned methods, and 200 for the others."""
+"""Choices of K: the paper found 25 best for learned methods, and 200 for the others."""
 
 VERIFIED = ("published, verified", "votes, verified", "everything")
-"""One attempt with the published estimator; votes, and a second attempt with 4K; the package."""
+"""One attempt with the published estimator; votes and a retry with 4K; the package's default."""
 
 DRAWS = PoseConfig().max_draws
-"""Of PROSAC, at most."""
+"""Maximum number of PROSAC samples."""
 
 MAP_THREADS = min(4, os.cpu_count() or 1)
-"""While a map is made, nothing else waits for the processor but other maps."""
+"""Threads of a map; maps are built beside nothing else."""
 
 Answer = list[float | None]
-"""Metres and degrees off (None: no answer, or no truth), and inliers."""
+"""Errors in metres and degrees (None: no answer, or no truth), and inliers."""
 
 
 def verified_as(estimator: str, neighbours: int) -> str:
-    """What the answers of an estimator with verification are called, K being one of many."""
+    """Return the name of an estimator with verification and one K."""
     return f"{estimator} {neighbours}, verified"
 
 
 def configs(method: str, draws: int = DRAWS) -> dict[str, Config]:
-    """How the variants with verification are configured: both estimators with every K, and all."""
+    """Return the configurations with verification: both estimators with every K, and all."""
     base = shared_config(method, 1)
     found = {"everything": base}
     for estimator, escalation in (("published", 1), ("votes", 4)):
@@ -173,7 +173,7 @@ def _estimator(method: str, name: str) -> str:
 
 
 def prior_map(recording: Drive, method: str, path: Path) -> SegmentMap:
-    """The map of a method, as it is made by default; kept in a file."""
+    """Return a method's default map, stored in a file."""
     if not path.exists():
         descriptor = create(method, MAP_THREADS)
         (built,) = build_maps(recording, {method: descriptor}, MAP_THREADS).values()
@@ -182,7 +182,7 @@ def prior_map(recording: Drive, method: str, path: Path) -> SegmentMap:
 
 
 class Place:
-    """A map of one method, and what looks for poses in it."""
+    """A map of one method, and its pose estimators."""
 
     def __init__(self, prior_map: SegmentMap, method: str, draws: int = DRAWS) -> None:
         self._base = Localizer(prior_map, shared_config(method, 1))
@@ -197,15 +197,15 @@ class Place:
 
     @cached_property
     def _localizers(self) -> dict[str, Localizer]:
-        """Those with verification, on one cloud."""
+        """Return the localizers with verification, on one cloud."""
         base = self._base
         return {
-            name: on_the_cloud_of(base, Localizer(base.prior_map, config))
+            name: with_map_cloud(base, Localizer(base.prior_map, config))
             for name, config in configs(self._method, self._draws).items()
         }
 
     def verified(self, query: Query, truth: Pose) -> dict[str, Answer | None]:
-        """The answer of each variant with verification; None where it gives none."""
+        """Return the answer of each variant with verification, or None."""
         found: dict[str, Answer | None] = {}
         for name, localizer in self._localizers.items():
             result = localizer.locate(query)
@@ -214,7 +214,7 @@ class Place:
         return found
 
     def unverified(self, query: Query, truth: Pose) -> dict[str, Answer]:
-        """The first candidate of each estimator with each K, as "estimator K"."""
+        """Return the first candidate of each estimator with each K, as "estimator K"."""
         matcher, prior_map = self._base.matcher, self._base.prior_map
         found: dict[str, Answer] = {}
         for k in NEIGHBOURS:
@@ -238,7 +238,7 @@ def _answer(T: Pose | None, truth: Pose, inliers: int) -> Answer:
 
 @dataclass(frozen=True)
 class Asked:
-    """One query, its truth, and what a row of answers begins with."""
+    """One query, its truth, and the start of its rows."""
 
     query: Query
     truth: Pose
@@ -246,7 +246,7 @@ class Asked:
 
 
 def queries(part: Part, descriptor: Descriptor) -> Iterator[Asked]:
-    """The queries of a part, gathered, segmented and described."""
+    """Yield the queries of a part, accumulated, segmented and described."""
     config = Config()
     segmenter = Segmenter(config.segmentation)
     clouds = query_clouds(part.queried, part.positions, config)
@@ -262,13 +262,13 @@ def queries(part: Part, descriptor: Descriptor) -> Iterator[Asked]:
 
 TOLERANCE = Tolerance()
 BEYOND_M = 20.0
-"""Queries farther from the mapped path are negatives where K is chosen."""
+"""Queries farther from the mapped trajectory are negatives in the choice of K [m]."""
 
 Rows = Sequence[dict[str, Any]]
 
 
 def is_right(answer: Answer) -> bool:
-    """Whether an answer is near enough to the truth."""
+    """Return whether an answer is within the tolerance."""
     metres, degrees, _ = answer
     if metres is None or degrees is None:
         return False
@@ -276,7 +276,7 @@ def is_right(answer: Answer) -> bool:
 
 
 def threshold(training: Rows, name: str) -> int:
-    """The least number of inliers that no wrong answer from beyond the mapped places reaches.
+    """Return the minimum inliers that no false answer off the mapped places reaches.
 
     Some queries from there are answered rightly: they see the map from afar.
     """
@@ -285,7 +285,7 @@ def threshold(training: Rows, name: str) -> int:
 
 
 def chosen(training: Rows, estimator: str, among: Sequence[int]) -> int:
-    """The K that localizes most training queries with no negative accepted; of equals the least."""
+    """Return the K with most training queries and no accepted negative; the smallest of ties."""
 
     def found(k: int) -> int:
         name = f"{estimator} {k}"
@@ -296,7 +296,7 @@ def chosen(training: Rows, estimator: str, among: Sequence[int]) -> int:
 
 
 def outcomes(rows: Rows, name: str, least: int | None = None) -> str:
-    """A letter a query: ``+`` right, ``x`` false, ``-`` no answer.
+    """Return one letter per query: ``+`` correct, ``x`` false, ``-`` no answer.
 
     ``least`` is the number of inliers from which an answer without verification is believed.
     """
@@ -311,19 +311,19 @@ def outcomes(rows: Rows, name: str, least: int | None = None) -> str:
 
 
 def within_coverage(rows: Rows) -> list[bool]:
-    """Whether the mapped path passes each query within 3 m."""
+    """Return whether each query is within 3 m of the mapped trajectory."""
     return [row["distance"] <= COVERAGE_RADIUS_M for row in rows]
 
 
 QUERIES = 34
-"""Of one piece."""
+"""Queries per piece."""
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Some of the queries of one part, asked of one method.
+    """Some queries of one part, by one method.
 
     Attributes
     ----------
@@ -350,12 +350,12 @@ class Piece:
 
     @property
     def rows(self) -> list[Row]:
-        """The answers so far, of one query after the other."""
+        """Return the stored answers, in order of the queries."""
         return [json.loads(line) for line in _lines(self._path)]
 
     @property
     def is_done(self) -> bool:
-        """Whether all queries are answered."""
+        """True if all queries are answered."""
         return len(_lines(self._path)) == self.stop - self.first
 
     @property
@@ -363,7 +363,7 @@ class Piece:
         return self.folder / f"{self.part}-{self.first:03d}.jsonl"
 
     def run(self) -> Piece:
-        """Answer what is not answered yet; makes the map if there is none."""
+        """Answer the remaining queries; builds the map if it is missing."""
         kept = _lines(self._path)
         self._path.write_text("".join(kept), "utf-8")
         part = PARTS[self.part](self.data).between(self.first + len(kept), self.stop)
@@ -379,19 +379,19 @@ class Piece:
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of a file that were written to their ends."""
+    """Return the complete lines of a file."""
     lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
     return [line for line in lines if line.endswith("\n")]
 
 
 def spans(count: int) -> Iterator[tuple[int, int]]:
-    """The first of the queries of each piece, and the one behind its last."""
+    """Return the first query of each piece, and the one after its last."""
     for first in range(0, count, QUERIES):
         yield first, min(first + QUERIES, count)
 
 
 def finished(pieces: Sequence[Piece], executor: Executor | None) -> Iterator[Piece]:
-    """The pieces as they are finished; the first one of each map, which makes it, before others."""
+    """Yield pieces as they finish; the first of each map, which builds it, comes first."""
     left = [piece for piece in pieces if not piece.is_done]
     yield from (piece for piece in pieces if piece.is_done)
     if executor is None:
@@ -420,7 +420,7 @@ Answers = dict[str, Any]
 
 @dataclass(frozen=True)
 class Kept:
-    """Where the answers of one method are kept, and of which code and weights they are.
+    """Stored answers of one method, with the code and weights behind them.
 
     Attributes
     ----------
@@ -436,7 +436,7 @@ class Kept:
 
     @classmethod
     def of(cls, method: str, folder: Path, verify: bool, draws: int) -> Kept:
-        """By the code as it is now."""
+        """Return the hash of the current code."""
         produced: Answers = {
             "method": fingerprint(method),
             "code": code(),
@@ -447,7 +447,7 @@ class Kept:
         return cls(method, folder, produced)
 
     def read(self) -> Answers | None:
-        """The answers, if they are there and of this code."""
+        """Return the answers, if stored by this code."""
         if not self._path.exists():
             return None
         stored: Answers = json.loads(self._path.read_text("utf-8"))
@@ -456,7 +456,7 @@ class Kept:
         return stored if same else None
 
     def pieces(self, data: Path, counts: Mapping[str, int]) -> list[Piece]:
-        """All pieces of the method; ``counts`` are the queries of each part."""
+        """Return all pieces of the method; ``counts`` are the queries of each part."""
         self._work.mkdir(parents=True, exist_ok=True)
         asked = (bool(self.produced["verified"]), self.produced.get("draws", DRAWS))
         return [
@@ -466,7 +466,7 @@ class Kept:
         ]
 
     def finish(self, pieces: Iterable[Piece]) -> None:
-        """Put the answers of all pieces together, and choose the Ks."""
+        """Combine the answers of all pieces, and choose K."""
         parts: dict[str, list[Row]] = {}
         for piece in pieces:
             parts.setdefault(piece.part, []).extend(piece.rows)
@@ -494,7 +494,7 @@ def answers_of(
     workers: int = 1,
     draws: int = DRAWS,
 ) -> dict[str, Answers]:
-    """What methods answer to every query, from the folder where it is there and of this code.
+    """Return the answers of methods to every query, from the folder if stored by this code.
 
     Without ``verify`` by inliers alone, which takes a third of the time.
     """
@@ -524,7 +524,7 @@ def _measure(
 
 
 def stored(folder: Path) -> dict[str, Answers]:
-    """The answers of all methods that a folder has, whatever code they are of."""
+    """Return the answers of all methods in a folder, by any code."""
     paths = {name: folder / f"{name}.json" for name in METHODS}
     found = {name: json.loads(p.read_text("utf-8")) for name, p in paths.items() if p.exists()}
     if not found:
@@ -549,7 +549,7 @@ Stored = Mapping[str, Mapping[str, Any]]
 
 
 def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
-    """A letter a query for each variant of one method; see :func:`.counting.outcomes`."""
+    """Return one letter per query for each variant; see :func:`.counting.outcomes`."""
     found = {}
     for estimator in ESTIMATORS:
         k = answers["neighbours"][estimator]
@@ -564,7 +564,7 @@ def outcomes_of(answers: Mapping[str, Any]) -> dict[str, str]:
 
 
 def draws_of(stored: Stored) -> int:
-    """Samples of PROSAC at most."""
+    """Return the maximum number of PROSAC samples."""
     found = {each.get("draws", DRAWS) for each in stored.values()}
     if len(found) > 1:
         raise DatasetError(f"methods were given different numbers of draws: {sorted(found)}")
@@ -576,7 +576,7 @@ def _ordered(stored: Stored) -> list[str]:
 
 
 def counts(stored: Stored) -> Table:
-    """Right localizations of all queries by every method and variant, and false ones."""
+    """Return correct and false localizations by every method and variant."""
     rows = []
     for name in _ordered(stored):
         letters = outcomes_of(stored[name])
@@ -604,7 +604,7 @@ def _count(letters: str | None) -> str:
 
 
 def differences(stored: Stored) -> Table:
-    """What is found within coverage with intervals, and exact tests against one method."""
+    """Return results within coverage with intervals, and exact tests against one method."""
     rows: list[tuple[str, ...]] = []
     covered = within_coverage(next(iter(stored.values()))["test"])
     near = [k for k, flag in enumerate(covered) if flag]

@@ -1,4 +1,4 @@
-"""Aligned sessions -> a dataset to train on, and its pairs of segments as a table."""
+"""Training datasets and tables of segment pairs from aligned sessions."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def write_dataset(
     segmentation: SegmentationConfig,
     progress: Callable[[str], None] = lambda text: None,
 ) -> LabelCounts:
-    """Cut aligned recordings of one place into labelled segments, as ``segloc train`` reads them.
+    """Cut aligned recordings of one place into labelled segments for ``segloc train``.
 
-    Nothing is registered again: the poses are taken as they are.
+    The poses are used as they are, without registration.
 
     Parameters
     ----------
     recordings : sequence of Recording
         With poses in one frame.
     place : str
-        A name for the place.
+        Name of the place.
     progress : callable, optional
-        Called with a line for each session.
+        Called with one line per session.
     """
     settings = ExtractConfig()
     items = [
@@ -53,16 +53,15 @@ def write_dataset(
 
 
 def write_pairs(path: Path, dataset_folder: Path, seed: int = 0) -> int:
-    """Write the pairs of segments of a dataset, as many that match as that do not.
+    """Write pairs of segments of a dataset, as many matching as different ones.
 
-    ``first`` and ``second`` are rows of the dataset as ``load_dataset`` gives it. Those that match
-    show one object (centroids within 0.5 m, as the dataset labels them) and are thinned evenly
-    beyond 200 000; the others are drawn at random among those farther apart than 20 m.
-
+    ``first`` and ``second`` are rows of the dataset as ``load_dataset`` returns it. Matching pairs
+    show one object (centroids within 0.5 m, by the labels) and are thinned evenly beyond 200 000;
+    different ones are drawn at random among pairs more than 20 m apart.
     Returns
     -------
     int
-        How many pairs match.
+        Number of matching pairs.
     """
     dataset = load_dataset(dataset_folder)
     matching = pairs_of(dataset.labels, MAX_PAIRS)
@@ -77,7 +76,7 @@ def write_pairs(path: Path, dataset_folder: Path, seed: int = 0) -> int:
 def _different(
     dataset: SegmentDataset, count: int, rng: np.random.Generator
 ) -> tuple[Int64, Int64]:
-    """Random pairs of one place that are farther apart than 20 m."""
+    """Draw random pairs of one place more than 20 m apart."""
     first = rng.integers(len(dataset), size=4 * count)
     second = rng.integers(len(dataset), size=4 * count)
     far = _distances(dataset.centroids, first, second) > FAR_M

@@ -1,4 +1,4 @@
-"""Recordings and simulated worlds -> a dataset folder."""
+"""Make datasets from recordings and simulated worlds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from .extract import ExtractConfig, extract_session
 from .session_registration import Registration
 from .shards import Session, finished, options_of, read_array, write_shard
 
-_LANE_OF = 3.4  # half the width of a street that has room for all lanes, metres
+_LANE_OF = 3.4  # half the width of a street with room for all lanes [m]
 _SWEEP_SPACING_M = 0.15
 _USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
 _CARRIERS = {"town": ("car",), "terraces": ("car",)}
@@ -45,22 +45,22 @@ class Drive(Section):
     """One session of a world."""
 
     sensor: str
-    thin: int = Field(1, ge=1, description="every so many firings: faster scans of fewer points")
+    thin: int = Field(1, ge=1, description="keep every COUNT-th firing")
     lane_m: float
     reverse: bool
     foliage: float
     replaced: float
     scaffolding: float
     carrier: str = Field(description="one of PLATFORMS")
-    raised_m: float = Field(description="of its sensor above where it usually sits")
+    raised_m: float = Field(description="height of the sensor above its usual position")
 
 
 class WorldSpec(Section):
-    """One world, and the sessions that are driven in it; the same again for the same values."""
+    """A world and its sessions; reproducible."""
 
     scene: str
     seed: int = Field(ge=0)
-    length_m: float = Field(500.0, gt=0, description="of each drive")
+    length_m: float = Field(500.0, gt=0, description="length of each drive")
     drives: tuple[Drive, ...]
 
     @property
@@ -76,24 +76,24 @@ def draw_worlds(
     sensors: tuple[str, ...] = (),
     thin: int = 1,
 ) -> list[WorldSpec]:
-    """Worlds as ``town:10,park:4`` asks for them.
+    """Draw worlds as specified by ``town:10,park:4``.
 
-    Each has two or three sessions, in different lanes and seasons, some the other way round, with
-    some things replaced, each with a sensor of its own on a carrier of its own.
+    Each has two or three sessions in different lanes and seasons, some in reverse, with some
+    objects replaced, each with its own sensor and platform.
     """
     if not 0 < length_m < math.inf:
         raise ConfigError(f"a drive must have a positive number of metres, not {length_m}")
     wanted = sensors or _USUAL_SENSORS
     for name in wanted:
         if name not in SENSORS:
-            raise ConfigError(f"no sensor {name!r}; there are {', '.join(sorted(SENSORS))}")
+            raise ConfigError(f"no sensor {name!r}; available: {', '.join(sorted(SENSORS))}")
     specs: list[WorldSpec] = []
     for part in text.split(","):
         scene, _, number = part.strip().partition(":")
         if scene not in SCENES:
-            raise ConfigError(f"no scene {scene!r}; there are {', '.join(sorted(SCENES))}")
+            raise ConfigError(f"no scene {scene!r}; available: {', '.join(sorted(SCENES))}")
         if not number.isdecimal() or not 0 < int(number) <= 10_000:
-            raise ConfigError(f"{part.strip()!r} does not say how many: write {scene}:10")
+            raise ConfigError(f"{part.strip()!r} has no number of worlds: write {scene}:10")
         specs += [_draw(scene, seed, i, length_m, wanted, thin) for i in range(int(number))]
     return specs
 
@@ -120,7 +120,7 @@ def _draw(
 
 
 def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
-    """Session k of a world, with its true poses; all sessions share most of their way."""
+    """Simulate session k of a world, with true poses; sessions share most of their route."""
     drive = spec.drives[k]
     world = SCENES[spec.scene](spec.seed)
     sensor = SENSORS[drive.sensor]().thinned(drive.thin)
@@ -143,7 +143,7 @@ def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
 
 
 def sweeps(drive: Drive) -> bool:
-    """Whether the sensor is a push-broom one, which needs the vehicle's motion to see."""
+    """Return whether the sensor is a push-broom LiDAR, which needs motion."""
     return isinstance(SENSORS[drive.sensor](), LineLidar)
 
 
@@ -152,7 +152,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Posed:
-    """A posed recording as a session of a place."""
+    """A recording with poses as a session of a place."""
 
     session: Session
     recording: Recording
@@ -160,7 +160,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class _Task:
-    """One recording's shard, to be written by whatever process."""
+    """Task to write one recording's shard in any process."""
 
     folder: Path
     item: Posed
@@ -180,15 +180,15 @@ def collect_recordings(
     progress: Progress,
     executor: Executor | None = None,
 ) -> list[Session]:
-    """Write the shards of recordings of one place; the same ones, whoever executes it.
+    """Write the shards of recordings of one place, independently of the executor.
 
-    With ``register``, the local clouds of each are aligned with what the ones before it saw, and
-    so they are done one after another; otherwise several at a time.
+    With ``register``, the local clouds of each are aligned with the sessions before it, one session
+    after another; otherwise sessions are processed in parallel.
 
     Returns
     -------
     list of Session
-        To be labelled by :func:`~segloc_lab.training.shards.finish`.
+        For :func:`~segloc_lab.training.shards.finish`.
     """
     sessions = [item.session for item in recordings]
     tasks = [
@@ -202,7 +202,7 @@ def collect_recordings(
 
 
 def _shard(task: _Task) -> str:
-    """Write a recording's shard, unless it is there, and say what was done."""
+    """Write a recording's shard, unless it exists, and return a summary."""
     folder, before = task.folder, task.before
     session, recording = task.item.session, task.item.recording
     own = _for_sweeps(task.config) if is_push_broom(recording) else task.config
@@ -214,7 +214,7 @@ def _shard(task: _Task) -> str:
         scans=_fingerprint(recording),
     )
     if finished(folder, session, options):
-        return "already there"
+        return "exists"
     registration = _registration(folder, before) if task.register and before else None
     segmenter = Segmenter(task.segmentation)
     extract = extract_session(recording, segmenter.segment, own, registration)
@@ -223,12 +223,12 @@ def _shard(task: _Task) -> str:
 
 
 def _for_sweeps(config: ExtractConfig) -> ExtractConfig:
-    """One sweep of a push-broom sensor shows no object, and a short way only slices."""
+    """Use longer clouds for push-broom sensors: single sweeps show no objects."""
     return config.model_copy(update={"lengths_m": (config.swathe_m,)})
 
 
 def _fingerprint(recording: Recording) -> list[int | str]:
-    """Which scans there are, and where: with other poses a shard is made anew."""
+    """Return a hash of scans and poses; a shard with other poses is rewritten."""
     poses = b"" if recording.poses is None else recording.poses.tobytes()
     ends = [int(recording.indices[0]), int(recording.indices[-1])]
     return [len(recording), *ends, hashlib.sha256(poses).hexdigest()[:16]]
@@ -244,8 +244,8 @@ def _told(registration: Registration | None) -> str:
         return ""
     shift = float(np.median(registration.shifts_m)) if registration.shifts_m else 0.0
     return (
-        f"; of its local clouds {registration.accepted} aligned (by {shift:.2f} m, median), "
-        f"{registration.rejected} did not fit, {registration.alone} saw nothing known"
+        f"; local clouds: {registration.accepted} aligned (by {shift:.2f} m, median), "
+        f"{registration.rejected} rejected, {registration.alone} without known structure"
     )
 
 
@@ -259,9 +259,9 @@ def collect_worlds(
     progress: Progress,
     executor: Executor | None = None,
 ) -> list[Session]:
-    """Write the shards of simulated worlds, several at a time.
+    """Write the shards of simulated worlds in parallel.
 
-    What is written depends neither on the executor nor on the number of workers.
+    The result does not depend on the executor or the number of workers.
     """
     tasks = [
         _WorldTask(folder, spec, k, config, segmentation)
@@ -288,7 +288,7 @@ class _WorldTask:
 
 
 def _world(task: _WorldTask) -> tuple[Session, str]:
-    """One session of one world, in whatever process."""
+    """Write one session of one world in any process."""
     folder, spec, k = task.folder, task.spec, task.k
     config, segmentation = task.config, task.segmentation
     session = Session(spec.name, f"session-{k}", spec.drives[k].sensor)
@@ -296,7 +296,7 @@ def _world(task: _WorldTask) -> tuple[Session, str]:
         config, segmentation=segmentation.model_dump(mode="json"), spec=spec.model_dump(), k=k
     )
     if finished(folder, session, options):
-        return session, "already there"
+        return session, "exists"
     segmenter = Segmenter(segmentation)
     drive = simulated_drive(spec, k)
     own = _for_sweeps(config) if sweeps(spec.drives[k]) else config

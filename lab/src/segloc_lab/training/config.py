@@ -1,4 +1,4 @@
-"""Settings of a training run, from a file and a command line."""
+"""Settings of a training run, from a file and the command line."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ _DENSITY_NEIGHBORS = 16
 
 
 class AugmentConfig(Section):
-    """How strongly training segments are changed."""
+    """Strength of the augmentation of training segments."""
 
-    yaw: bool = Field(True, description="turn by any angle about z")
-    drop: float = Field(0.1, ge=0, lt=1, description="largest share of points dropped at random")
-    occlude: float = Field(0.3, ge=0, lt=1, description="largest share cut off by a half-space")
+    yaw: bool = Field(True, description="turn by a random angle about z")
+    drop: float = Field(0.1, ge=0, lt=1, description="maximum share of points dropped at random")
+    occlude: float = Field(0.3, ge=0, lt=1, description="maximum share cut off by a half-space")
     occlude_chance: float = Field(0.5, ge=0, le=1)
-    thin: float = Field(0.5, ge=0, lt=1, description="largest share thinned out from one side")
+    thin: float = Field(0.5, ge=0, lt=1, description="maximum share thinned out from one side")
     thin_chance: float = Field(0.3, ge=0, le=1)
     noise_m: float = Field(0.02, ge=0, description="standard deviation of added noise")
-    min_points: int = Field(20, ge=1, description="never leave fewer points")
+    min_points: int = Field(20, ge=1, description="minimum number of points kept")
 
 
 def augment(points: Float32, config: AugmentConfig, rng: np.random.Generator) -> Float32:
-    """A changed copy of one segment.
+    """Return an augmented copy of a segment.
 
-    In this order: points dropped at random, a half-space cut off (another view hides a part),
-    density falling towards one side (another distance), noise, and a turn about z.
+    In this order: drop random points, cut off a half-space (occlusion), thin towards one side
+    (distance), add noise, and turn about z.
     """
     result = _drop(points, config, rng)
     if rng.random() < config.occlude_chance:
@@ -61,7 +61,7 @@ def _drop(points: Float32, config: AugmentConfig, rng: np.random.Generator) -> F
 
 def _occlude(points: Float32, config: AugmentConfig, rng: np.random.Generator) -> Float32:
     normal = rng.standard_normal(3)
-    normal[2] *= 0.3  # mostly upright planes
+    normal[2] *= 0.3  # mostly vertical planes
     along = points @ normal.astype(np.float32)
     return _enough(points, along >= np.quantile(along, rng.uniform(0.0, config.occlude)), config)
 
@@ -84,11 +84,11 @@ def _yaw(angle: float) -> Float32:
 
 
 def reorder(prepared: Float32, sampler: Sampler, rng: np.random.Generator) -> Float32:
-    """Prepared segments (P, N, 3) with their points in the sampler's order.
+    """Return prepared segments (P, N, 3) with points in the sampler's order.
 
-    "farthest" is the order they have. "random" is uniform. "inverse_density" draws without
-    replacement with a probability proportional to the mean squared distance to a point's
-    neighbours, as PointCNN does.
+    "farthest" keeps the order. "random" is uniform. "inverse_density" draws without replacement
+    with a probability proportional to the mean squared distance to a point's neighbours, as in
+    PointCNN.
     """
     if sampler == "farthest" or len(prepared) == 0:
         return prepared
@@ -101,7 +101,7 @@ def reorder(prepared: Float32, sampler: Sampler, rng: np.random.Generator) -> Fl
 
 
 def _spacing(prepared: Float32) -> Float32:
-    """Mean squared distance of each point to its nearest ones, (P, N)."""
+    """Return the mean squared distance of each point to its neighbours, (P, N)."""
     P, N, _ = prepared.shape
     index = kernels.dilated_neighbors(prepared, N, N, min(_DENSITY_NEIGHBORS, N), 1, 1)
     near = prepared[np.arange(P)[:, None, None], index]
@@ -114,66 +114,66 @@ HeadKind = Literal["linear", "quadratic", "two_layer"]
 PairTraining = Literal["joint", "frozen"]
 PairNegatives = Literal["batch", "any"]
 PUBLISHED: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-4, "hard_share": 0.0}}
-"""What a network's own paper sets, where it is not the default here."""
+"""Settings of a network's own paper that differ from the defaults here."""
 
 
 class TrainConfig(Section):
-    """Everything that decides how a network comes out."""
+    """Settings of a training run."""
 
     network: str = Field("dsm", description="one of training.tasks.MODULES")
     alignment: Alignment = "pca2d"
     sampler: Sampler = "farthest"
     loss: Loss = "info_nce"
     pair_weight: float = Field(
-        0.1, ge=0, description="weight of FC4's loss beside the descriptor's; 0: no FC4"
+        0.1, ge=0, description="weight of FC4's loss relative to the descriptor's; 0: no FC4"
     )
-    pair_head: HeadKind = Field("two_layer", description="the form of FC4")
+    pair_head: HeadKind = Field("two_layer", description="form of FC4")
     pair_training: PairTraining = Field(
-        "frozen", description="with the descriptor, or after it on finished ones of held-out places"
+        "frozen", description="jointly with the descriptor, or afterwards on held-out places"
     )
     pair_negatives: PairNegatives = Field(
         "any",
-        description="pairs that do not match: mined ones beside others, or random ones, too",
+        description="different pairs: mined and other ones, or also random ones",
     )
     steps: int = Field(3000, ge=1)
-    classes: int = Field(32, ge=2, description="objects a batch")
-    views: int = Field(2, ge=2, description="segments of each object a batch")
+    classes: int = Field(32, ge=2, description="objects per batch")
+    views: int = Field(2, ge=2, description="segments per object in a batch")
     across: float = Field(
-        0.8, ge=0, le=1, description="chance that these are of different sessions if possible"
+        0.8, ge=0, le=1, description="probability of views of different sessions, if possible"
     )
     different_m: float = Field(
-        FAR_M, gt=0, description="segments of one world differ beyond this distance"
+        FAR_M, gt=0, description="segments of one world farther apart show different objects"
     )
-    hard_share: float = Field(0.5, ge=0, le=1, description="objects chosen to be mistakable")
-    mine_every: int = Field(500, ge=1, description="steps between searches for such objects")
-    mine_objects: int = Field(12_000, ge=100, description="objects among which it searches")
+    hard_share: float = Field(0.5, ge=0, le=1, description="share of hard objects in a batch")
+    mine_every: int = Field(500, ge=1, description="steps between searches for hard objects")
+    mine_objects: int = Field(12_000, ge=100, description="objects searched")
     learning_rate: float = Field(2e-3, gt=0)
     warmup: int = Field(100, ge=0, description="steps until the full learning rate")
     weight_decay: float = Field(1e-5, ge=0)
-    clip: float = Field(5.0, gt=0, description="largest norm of the gradient")
+    clip: float = Field(5.0, gt=0, description="maximum norm of the gradient")
     augmentation: AugmentConfig = AugmentConfig()
     validation_share: float = Field(0.15, gt=0, lt=1)
-    validation_limit: int = Field(3000, ge=1, description="segments that validation looks at")
-    quality_limit: int = Field(20000, ge=1, description="segments the quality head is fitted to")
+    validation_limit: int = Field(3000, ge=1, description="segments used in validation")
+    quality_limit: int = Field(20000, ge=1, description="segments used to fit the quality head")
     validate_every: int = Field(250, ge=1)
-    patience: int = Field(8, ge=1, description="validations without a better one until the end")
+    patience: int = Field(8, ge=1, description="validations without improvement until the end")
     max_minutes: float = Field(math.inf, gt=0, allow_inf_nan=True)
     threads: int = Field(1, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     precision: Literal["auto", "float32", "bfloat16"] = Field(
-        "auto", description="of the products; auto is bfloat16 on a GPU"
+        "auto", description="precision of products; auto: bfloat16 on a GPU"
     )
     seed: int = Field(0, ge=0)
 
 
 def require_torch() -> None:
-    """Say what to install before anything else is done."""
+    """Raise MissingDependency if PyTorch is missing, before anything else is done."""
     if find_spec("torch") is None:
         raise MissingDependency("torch", "lab", "training")
 
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
-    """A configuration file, if there is one, with what the command line gives on top."""
+    """Read a configuration file, if given, and override it with options."""
     values = {**({} if path is None else read_yaml(path)), **given}
     published = PUBLISHED.get(str(values.get("network", "dsm")), {})
     return validated(TrainConfig, {**published, **values}, str(path or "training"))

@@ -1,4 +1,4 @@
-"""Labelled segments: what networks and forests are trained on."""
+"""Labelled segments for training networks and forests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from segloc.system.tensor_file import TensorFileError
 from segloc.types import Float32, Float64, Int64, Segments
 
 FAR_M = 20.0
-"""Segments of one town count as different objects only beyond this distance, as in SegMap."""
+"""Segments of one town farther apart show different objects, as in SegMap [m]."""
 
 _UNKNOWN = np.empty(0)
 _SQUARE_M = 100.0
@@ -27,30 +27,30 @@ _SQUARE_M = 100.0
 
 @dataclass(frozen=True)
 class SegmentDataset:
-    """P raw segments with the objects that they show.
+    """P raw segments with labels of the objects they show.
 
     Attributes
     ----------
     points : (M, 3) float32 or float16
-        Raw points of all segments, local frames, metres; in half precision about their centroids
-        where they come from shards.
+        Raw points of all segments, local frames [m]; from shards in half precision about the
+        centroids.
     offsets : (P + 1,) int64
     labels : (P,) int64
         Segments with the same label show the same object.
     sessions : (P,) int64
-        Which recording a segment is from.
+        Recording of each segment.
     places : (P,) int64
-        Which world a segment is from: segments of different worlds are never the same.
+        World of each segment; segments of different worlds show different objects.
     centroids : (P, 3) float64
         In the frame of the world.
     heights : (P,) float32
-        Height of each centroid above the ground below it, metres.
+        Height of each centroid above ground [m].
     lengths : (P,) float32
-        Way that each segment's local cloud spans, metres; 0 for single scans.
+        Length of each segment's local cloud along the trajectory [m]; 0 for single scans.
     sensors : (P,) int64
         Index into ``sensor_names``.
     objects : (P,) int64
-        The true object, where a simulation knows it; -1 elsewhere. Unique within a place.
+        True object, if simulated; else -1. Unique within a place.
     """
 
     points: Float32 | NDArray[np.float16]
@@ -75,14 +75,14 @@ class SegmentDataset:
         return len(self.labels)
 
     def segment(self, index: int) -> Float32:
-        """The (n, 3) points of one segment, float32."""
+        """Return the (n, 3) points of one segment, float32."""
         points: Float32 = self.points[self.offsets[index] : self.offsets[index + 1]].astype(
             np.float32, copy=False
         )
         return points
 
     def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
-        """Some segments (all by default) as the descriptors take them."""
+        """Return some segments (by default all) for the descriptors."""
         chosen = np.arange(len(self)) if indices is None else indices
         points, offsets = packed([self.segment(int(i)) for i in chosen])
         if len(chosen) == 0:
@@ -92,7 +92,7 @@ class SegmentDataset:
         return Segments(points, offsets, centroids, self.heights[chosen])
 
     def subset(self, indices: NDArray[np.integer]) -> SegmentDataset:
-        """The named segments as a dataset of their own."""
+        """Return some segments as a dataset."""
         points, offsets = packed([self.segment(int(i)) for i in indices])
         chosen = {name: getattr(self, name)[indices] for name in _PER_SEGMENT}
         return SegmentDataset(points, offsets, sensor_names=self.sensor_names, **chosen)
@@ -100,7 +100,7 @@ class SegmentDataset:
     def different(
         self, a: NDArray[np.integer], b: NDArray[np.integer], far_m: float = FAR_M
     ) -> NDArray[np.bool_]:
-        """Whether the segments of `a` and of `b` (broadcast) surely show different objects."""
+        """Return whether segments of ``a`` and ``b`` (broadcast) surely show different objects."""
         apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > far_m
         result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
             apart | (self.places[a] != self.places[b])
@@ -108,7 +108,7 @@ class SegmentDataset:
         return result
 
     def limited(self, limit: int, seed: int) -> SegmentDataset:
-        """At most so many segments: whole objects (but the last), so that matches stay together."""
+        """Return at most ``limit`` segments, of complete objects except the last."""
         if len(self) <= limit:
             return self
         rng = np.random.default_rng(seed)
@@ -119,10 +119,10 @@ class SegmentDataset:
         return self.subset(np.sort(order))
 
     def split(self, share: float, seed: int) -> tuple[SegmentDataset, SegmentDataset]:
-        """Training and validation sets.
+        """Split into training and validation sets.
 
-        Whole worlds go to one side where at least three were visited twice; validation gets worlds
-        of that kind. Otherwise objects are parted by the square of 100 m that they lie in.
+        Whole worlds go to one side if at least three were visited twice; validation gets worlds of
+        that kind. Otherwise objects are split by squares of 100 m.
         """
         groups, names = self._split_groups()
         rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ class SegmentDataset:
         return self.subset(np.flatnonzero(~inside)), self.subset(np.flatnonzero(inside))
 
     def _split_groups(self) -> tuple[Int64, Int64]:
-        """A group for each segment, and the groups that validation may get."""
+        """Return the group of each segment, and the groups available for validation."""
         pairs = np.unique(np.column_stack([self.places, self.sessions]), axis=0)
         worlds, sessions = np.unique(pairs[:, 0], return_counts=True)
         again = worlds[sessions > 1]
@@ -157,7 +157,7 @@ class SegmentDataset:
 
     @staticmethod
     def load(path: Path) -> SegmentDataset:
-        """Read what `save` wrote."""
+        """Read the output of `save`."""
         arrays, metadata = read_arrays(path)
         try:
             names = json.loads(metadata.get("sensor_names", '["unknown"]'))
@@ -167,7 +167,7 @@ class SegmentDataset:
         return dataset.checked(path)
 
     def checked(self, path: Path) -> SegmentDataset:
-        """Itself, if its arrays fit together and there is something in them."""
+        """Return the dataset if its arrays are consistent and not empty."""
         P, M = len(self), len(self.points)
         if P == 0:
             raise DatasetError(f"{path}: the dataset is empty")
@@ -176,18 +176,18 @@ class SegmentDataset:
             shape, kind = shapes.get(name, (P,)), "f" if name in _REAL else "i"
             array = getattr(self, name)
             if array.shape != shape or array.dtype.kind != kind:
-                raise DatasetError(f"{path}: {name} does not have its shape {shape} and type")
+                raise DatasetError(f"{path}: {name} has the wrong shape or type, not {shape}")
         if self.offsets[0] != 0 or self.offsets[-1] != M or (np.diff(self.offsets) <= 0).any():
-            raise DatasetError(f"{path}: offsets do not fit the points")
+            raise DatasetError(f"{path}: offsets do not match the points")
         if self.sensors.min() < 0 or self.sensors.max() >= len(self.sensor_names):
             raise DatasetError(f"{path}: a segment's sensor has no name")
         return self
 
     @staticmethod
     def concatenate(parts: Sequence[SegmentDataset]) -> SegmentDataset:
-        """All parts in one; labels, sessions and places of different parts stay apart."""
+        """Concatenate datasets; labels, sessions and places stay separate."""
         if not parts:
-            raise DatasetError("no dataset to concatenate")
+            raise DatasetError("no datasets to concatenate")
 
         def shifted(name: str) -> Int64:
             result, start = [], 0
@@ -224,22 +224,22 @@ class SegmentDataset:
 def read_arrays(
     path: Path, names: Iterable[str] | None = None
 ) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Arrays of a file in safetensors layout, all of them by default, and its metadata.
+    """Read arrays of a safetensors file, by default all, and its metadata.
 
-    They are read, not mapped into memory: a file may shrink while others write it.
+    The file is not memory-mapped, since it may shrink while being written.
     """
     try:
-        with tensor_file.opened(path) as file:
+        with tensor_file.open_tensor_file(path) as file:
             wanted = file.tensors if names is None else names
             return {name: file.read(name) for name in wanted}, file.metadata
     except KeyError as error:
-        raise DatasetError(f"{path}: not a dataset: it has no array {error}") from error
+        raise DatasetError(f"{path}: not a dataset: no array {error}") from error
     except (OSError, TensorFileError) as error:
         raise DatasetError(f"{path}: not a dataset: {error}") from error
 
 
 def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:
-    """Segments one after another, (M, 3), and their offsets, (P + 1,)."""
+    """Concatenate segments to points (M, 3) and offsets (P + 1,)."""
     points = np.concatenate([np.empty((0, 3), np.float32), *parts])
     return points, np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""A posed recording -> segments of many local clouds, with what labels them."""
+"""Extract labelled segments of many local clouds from a recording."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _STRUCTURE_VOXEL_M = 0.5
 
 
 class ExtractConfig(Section):
-    """Which local clouds become training segments, and which of them show one object."""
+    """Choice of local clouds, and labelling of their segments."""
 
     lengths_m: tuple[Length, ...] = Field(
-        (40.0, 16.0, 0.0), min_length=1, description="way that clouds span; 0 is a single scan"
+        (40.0, 16.0, 0.0), min_length=1, description="lengths of clouds; 0: single scans"
     )
-    swathe_m: float = Field(30.0, gt=0, description="the same for push-broom sensors")
+    swathe_m: float = Field(30.0, gt=0, description="length for push-broom sensors")
     every_m: float = Field(10.0, gt=0, description="distance between local clouds")
     local_cloud: LocalCloudConfig = LocalCloudConfig()
     label: LabelConfig = LabelConfig()
-    max_points: int = Field(2048, ge=1, description="points kept of a segment, chosen at random")
+    max_points: int = Field(2048, ge=1, description="maximum points of a segment, at random")
     seed: int = Field(0, ge=0)
 
 
@@ -51,19 +51,19 @@ class Extract:
     Attributes
     ----------
     points : (M, 3) float32
-        About each segment's centroid, axes of its local cloud.
+        Relative to each segment's centroid, axes of its local cloud.
     offsets : (P + 1,) int64
     centroids : (P, 3) float64
-        Frame of the poses, after registration.
+        In the frame of the poses, after registration.
     heights : (P,) float32
     extents : (P, 3) float64
-        Along and across the horizontal principal axis and along z, rising.
+        Along and across the horizontal principal axis and along z.
     lengths : (P,) float32
-        Way that the local cloud spans, metres; 0 for a single scan.
+        Length of the local cloud along the trajectory [m]; 0 for a single scan.
     objects : (P,) int64
-        Which true object most of a segment's points lie on; -1 where that is not known.
+        True object of most of a segment's points; -1 if unknown.
     structure : (N, 3) float32
-        World frame, ground included, thinned: later sessions are registered with it.
+        World frame, with ground, thinned, for registration of later sessions.
     """
 
     points: Float32
@@ -85,16 +85,16 @@ def extract_session(
     config: ExtractConfig,
     registration: Registration | None = None,
 ) -> Extract:
-    """Cut one recording into local clouds, and these into segments.
+    """Cut a recording into local clouds, and these into segments.
 
     Parameters
     ----------
     recording : Recording
-        With poses. Where it knows ``object_ids(i)`` of its points, segments get theirs.
+        With poses. If it has ``object_ids(i)`` of points, segments get true objects.
     segment : callable
-        Divides a local cloud.
+        Segments a local cloud.
     registration : Registration, optional
-        Corrects each local cloud's pose.
+        Corrects the pose of each local cloud.
     """
     rng = np.random.default_rng(config.seed)
     collected = _Collected()
@@ -105,12 +105,12 @@ def extract_session(
             T = registration.corrected(T, scene.surface)
         collected.add(scene, T, length, config.max_points, rng)
     if not collected.parts:
-        raise DatasetError(f"{recording.name}: no segment found")
+        raise DatasetError(f"{recording.name}: no segments found")
     return collected.packed(identity)
 
 
 class _Collected:
-    """Segments of the local clouds so far."""
+    """Segments collected from local clouds."""
 
     def __init__(self) -> None:
         self.parts: list[Float32] = []
@@ -156,7 +156,7 @@ class _Collected:
 
 
 class _Identity:
-    """Which object lies where, of the scans that were read."""
+    """Map from places to true objects, from the scans read."""
 
     def __init__(self, recording: Any) -> None:
         self._recording = recording
@@ -195,7 +195,7 @@ def _one_a_voxel(points: Float64 | Float32) -> Int64:
 def _local_clouds(
     recording: Recording, config: ExtractConfig, identity: _Identity | None
 ) -> Iterator[tuple[float, LocalCloud, Pose]]:
-    """Length, cloud and T_world_local of each local cloud of a recording."""
+    """Yield length, cloud and T_world_local of each local cloud of a recording."""
     poses = recording.poses
     if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: training needs a pose for every scan")
@@ -206,12 +206,12 @@ def _local_clouds(
         for index in geometry.stations(way, config.every_m)
         for length in config.lengths_m
     ]
-    # Single scans are taken where a cloud of several is asked for and there is only one, too.
+    # If a cloud of several scans has only one, single scans are also used.
     plan = [
         (index, length, scans) for index, length, scans in plan if (length > 0) == (len(scans) > 1)
     ]
 
-    # Neighbouring local clouds share most of their scans: each is read once.
+    # Neighbouring local clouds share most of their scans, so each is read once.
     @lru_cache(maxsize=max((len(scans) for *_, scans in plan), default=1))
     def read(i: int) -> Scan:
         scan = recording.scan(i)
@@ -226,7 +226,7 @@ def _local_clouds(
 
 
 def sorted_extents(points: Float32) -> Float64:
-    """Extents along and across the horizontal principal axis and along z, rising."""
+    """Return extents along and across the horizontal principal axis and along z, rising."""
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
     x, y = x - x.mean(), y - y.mean()
     angle = 0.5 * np.arctan2(2 * (x @ y), x @ x - y @ y)

@@ -1,4 +1,4 @@
-"""Train the random forest by which a method prunes its candidate matches, and export it."""
+"""Train and export the random forest that prunes a method's candidate matches."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .dataset import SegmentDataset
 
 Progress = Callable[[str], None]
 
-_MOST_ODDS, _BISECTIONS = 4.0, 12
+_MAX_ODDS, _BISECTIONS = 4.0, 12
 
 
 @dataclass(frozen=True)
 class ForestScores:
-    """How well a forest sorts the candidates of segments that it was not grown on.
+    """Quality of a forest on candidates it was not trained on.
 
     Attributes
     ----------
     auc : float
-        Chance that it finds a right candidate likelier than a wrong one.
+        Probability that a correct candidate is scored above a wrong one.
     right_kept, wrong_kept : float
-        Shares of the right and of the wrong candidates that pruning keeps by default.
+        Shares of correct and wrong candidates that pruning keeps by default.
     """
 
     auc: float
@@ -57,19 +57,18 @@ def train_forest(
     card: Mapping[str, Any] | None = None,
     progress: Progress = print,
 ) -> ForestScores:
-    """Grow the forest of a method, and write it to ``out`` (a .safetensors file).
+    """Train the forest of a method, and write it to ``out`` (a .safetensors file).
 
-    It learns to tell the right ones from the wrong ones among the candidates that matching
-    proposes.
+    It classifies the candidates of matching as correct or wrong.
 
     Parameters
     ----------
     dataset : SegmentDataset
         Split by worlds (or by objects, if there is one world) into training and validation.
     method : str
-        One with a forest: segmatch-eigen, segmatch-esf or nsm.
+        Method with a forest: segmatch-eigen, segmatch-esf or nsm.
     card : dict, optional
-        Goes into the file: data, command, licence. Figures and settings are added.
+        Stored in the file: data, command, licence. Figures and settings are added.
 
     Returns
     -------
@@ -85,7 +84,7 @@ def train_forest(
     training, validation = some.split(config.validation_share, config.seed)
     vectors = descriptor.describe(training.segments()).vectors
     pairs = training_pairs(vectors, training, config)
-    progress(f"{method}: {pairs.same.sum()} right candidates, {(~pairs.same).sum()} wrong ones")
+    progress(f"{method}: {pairs.same.sum()} correct candidates, {(~pairs.same).sum()} wrong ones")
     layout = descriptor.layout
     features = kernels.pair_features(
         vectors, vectors, pairs.rows, pairs.columns, layout.row, config.threads
@@ -120,7 +119,7 @@ def _classifier(config: ForestConfig) -> Any:
 
 
 def trees_of(trees: list[Any]) -> Trees:
-    """scikit-learn's trees as arrays, children side by side behind their parent."""
+    """Convert scikit-learn's trees to arrays, with children side by side."""
     roots, parts, start = [], [], 0
     for tree in trees:
         roots.append(start)
@@ -131,7 +130,7 @@ def trees_of(trees: list[Any]) -> Trees:
 
 
 def _tree_arrays(tree: Any, start: int) -> tuple[NDArray[np.int32], Float32, NDArray[np.int32]]:
-    order = [0]  # breadth first, so that a node's children follow each other
+    order = [0]  # breadth first, so that siblings are adjacent
     first_child = np.full(tree.node_count, -1, np.int32)
     for position in range(tree.node_count):
         node = order[position]
@@ -147,7 +146,7 @@ def _tree_arrays(tree: Any, start: int) -> tuple[NDArray[np.int32], Float32, NDA
 
 
 def _rounded_down(thresholds: NDArray[np.float64]) -> Float32:
-    """The largest float32 that is not above: float32 features then compare as before."""
+    """Round down to float32, so that comparisons of float32 features are unchanged."""
     rounded = thresholds.astype(np.float32)
     lower = np.nextafter(rounded, np.float32(-np.inf), dtype=np.float32)
     return np.where(rounded > thresholds, lower, rounded).astype(np.float32)
@@ -156,13 +155,13 @@ def _rounded_down(thresholds: NDArray[np.float64]) -> Float32:
 def _keeping(
     trees: Trees, layout: Layout, vectors: Float32, judged: Candidates, config: ForestConfig
 ) -> Trees:
-    """The trees with answers that let pruning keep ``config.right_kept`` of the right candidates.
+    """Scale the odds so that pruning keeps ``config.right_kept`` of the correct candidates.
 
-    Poses are estimated from what pruning leaves, so it is the right ones lost that count. The odds
-    in all leaves grow by one factor, found by bisection.
+    Poses are estimated from the candidates kept, so lost correct ones matter. All odds are scaled
+    by one factor, found by bisection.
     """
     right = judged.only(judged.same)
-    low, high = -_MOST_ODDS, _MOST_ODDS
+    low, high = -_MAX_ODDS, _MAX_ODDS
     for _ in range(_BISECTIONS if len(right.rows) else 0):
         middle = (low + high) / 2
         forest = PairForest(_weighed(trees, middle), layout, vectors.shape[1])
@@ -172,7 +171,7 @@ def _keeping(
 
 
 def _weighed(trees: Trees, log_odds: float) -> Trees:
-    """The odds of all answers times ``exp(log_odds)``."""
+    """Multiply the odds of all leaves by ``exp(log_odds)``."""
     answers = trees.threshold.astype(np.float64)
     weighed = answers * np.exp(log_odds)
     weighed = (weighed / (1 - answers + weighed)).astype(np.float32)
@@ -192,20 +191,20 @@ def _scores(
 
 
 class ForestConfig(Section):
-    """How a forest is grown, and from which pairs."""
+    """Settings of a forest and its training pairs."""
 
     trees: int = Field(25, ge=1)
-    max_leaves: int = Field(512, ge=2, description="of one tree: bounds the size of the file")
-    min_pairs: int = Field(20, ge=1, description="training pairs in a leaf at least")
-    pairs: int = Field(60_000, ge=2, description="right candidates at most; of wrong ones twice")
+    max_leaves: int = Field(512, ge=2, description="per tree; bounds the size of the file")
+    min_pairs: int = Field(20, ge=1, description="minimum training pairs per leaf")
+    pairs: int = Field(60_000, ge=2, description="maximum correct candidates; twice as many wrong")
     right_kept: float = Field(
-        0.75, gt=0, lt=1, description="of the right candidates, of worlds that are held out"
+        0.75, gt=0, lt=1, description="share of correct candidates kept in held-out worlds"
     )
-    segments: int = Field(2_000_000, ge=2, description="of the dataset at most, whole objects")
-    queries: int = Field(200_000, ge=1, description="segments whose candidates are looked at")
-    map_segments: int = Field(8000, ge=1, description="of the maps that propose candidates")
-    neighbours: int = Field(200, ge=1, description="candidates a segment, as in matching")
-    different_m: float = Field(3.0, ge=0, description="other objects lie at least this far apart")
+    segments: int = Field(2_000_000, ge=2, description="maximum segments used, whole objects")
+    queries: int = Field(200_000, ge=1, description="segments with candidates")
+    map_segments: int = Field(8000, ge=1, description="segments of the maps of candidates")
+    neighbours: int = Field(200, ge=1, description="candidates per segment, as in matching")
+    different_m: float = Field(3.0, ge=0, description="minimum distance of other objects")
     validation_share: float = Field(0.2, gt=0, lt=1)
     seed: int = Field(0, ge=0)
     threads: int = Field(1, ge=1)
@@ -226,16 +225,16 @@ class Candidates:
     same: NDArray[np.bool_]
 
     def only(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> Candidates:
-        """Some of them."""
+        """Return a subset."""
         return Candidates(self.rows[chosen], self.columns[chosen], self.same[chosen])
 
 
 def training_pairs(vectors: Float32, dataset: SegmentDataset, config: ForestConfig) -> Candidates:
-    """Candidates that matching proposes: of every world as many, as far as there are."""
+    """Return candidates of matching, equally many per world if possible."""
     rng = np.random.default_rng(config.seed)
     found = candidates(vectors, dataset, config, rng)
     if not found.same.any() or found.same.all():
-        raise DatasetError("a forest needs objects with two views, and two objects at least")
+        raise DatasetError("a forest needs at least two objects with two views")
     worlds = dataset.places[found.rows]
     share = -(-config.pairs // len(np.unique(worlds)))
     chosen = [np.empty(0, np.int64)]
@@ -249,10 +248,9 @@ def training_pairs(vectors: Float32, dataset: SegmentDataset, config: ForestConf
 def candidates(
     vectors: Float32, dataset: SegmentDataset, config: ForestConfig, rng: np.random.Generator
 ) -> Candidates:
-    """What matching proposes where one session is the map and the others of its world ask.
+    """Return candidates with one session as the map, and queries of its world's other sessions.
 
-    Worlds are taken together until there are ``config.map_segments`` in a map. Pairs that may or
-    may not show one object are left out.
+    Worlds are combined to maps of ``config.map_segments``. Uncertain pairs are dropped.
     """
     found = [(np.empty(0, np.int64), np.empty(0, np.int64))]
     group, turn = _shared_maps(dataset, config.map_segments)
@@ -275,10 +273,9 @@ def candidates(
 
 
 def _shared_maps(dataset: SegmentDataset, least: int) -> tuple[Int64, Int64]:
-    """Of every segment, the group of its world, and which of the world's sessions saw it.
+    """Return the group of worlds of every segment, and its session within the world.
 
-    The first sessions of a group's worlds have ``least`` segments together, where there are so
-    many.
+    The first sessions of a group's worlds have at least ``least`` segments, if available.
     """
     group, turn = np.zeros((2, len(dataset)), np.int64)
     number = gathered = 0

@@ -1,4 +1,4 @@
-"""Which segments show the same object."""
+"""Label segments that show the same object."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from scipy.spatial import cKDTree
 from segloc.system.section import Section
 from segloc.types import Float64, Int64
 
-_LEAST_EXTENT_M = 0.4
+_MIN_EXTENT_M = 0.4
 
 
 class LabelConfig(Section):
-    """When two segments show one object."""
+    """Criteria of segments that show one object."""
 
-    same_m: float = Field(0.5, gt=0, description="centroids of one object lie this close")
+    same_m: float = Field(0.5, gt=0, description="maximum distance of centroids of one object")
     rule: Literal["extents", "centroids"] = Field(
-        "extents", description="whether extents must agree, too; the paper looks at centroids only"
+        "extents", description="extents must agree, too; the paper compares only centroids"
     )
-    same_extent: float = Field(0.25, gt=0, description="extents agree to this share")
+    same_extent: float = Field(0.25, gt=0, description="maximum relative difference of extents")
 
 
 def label_objects(centroids: Float64, extents: Float64, config: LabelConfig) -> Int64:
     """Number the objects that segments show.
 
-    The largest segment leads: those with a centroid within ``same_m`` of its own and the same
-    extents are its views; then the largest of the rest. So no chain of small steps joins what lies
-    apart.
-
+    The largest segment comes first: those with a centroid within ``same_m`` of its own and similar
+    extents are its views; then the largest of the rest. So no chain of small steps joins distant
+    segments.
     Parameters
     ----------
     centroids : (P, 3)
@@ -61,13 +60,13 @@ def label_objects(centroids: Float64, extents: Float64, config: LabelConfig) -> 
 
 
 def _agree(a: Float64, b: Float64, share: float) -> NDArray[np.bool_]:
-    larger = np.maximum(np.maximum(a, b), _LEAST_EXTENT_M)
+    larger = np.maximum(np.maximum(a, b), _MIN_EXTENT_M)
     return np.asarray((np.abs(a - b) <= share * larger).all(axis=-1))
 
 
 @dataclass(frozen=True)
 class LabelCounts:
-    """What labels amount to.
+    """Statistics of labels.
 
     Attributes
     ----------
@@ -78,10 +77,9 @@ class LabelCounts:
     matching, matching_across : int
         Pairs of views of one object; those from different sessions.
     different : int
-        Pairs of segments that surely differ: other labels and farther apart than 20 m.
+        Pairs of segments that certainly differ: other labels and more than 20 m apart.
     agreeing : float
-        Share of the matching pairs of different sessions that show one true object, where it is
-        known; NaN where it is not.
+        Share of the matching pairs across sessions that truly show one object; NaN if unknown.
     """
 
     segments: int
@@ -97,7 +95,7 @@ class LabelCounts:
 def count_labels(
     labels: Int64, sessions: Int64, centroids: Float64, objects: Int64, far_m: float
 ) -> LabelCounts:
-    """Count what the labels of one place amount to; unknown ``objects`` are -1."""
+    """Compute the statistics of one place's labels; unknown ``objects`` are -1."""
     P = len(labels)
     _, sizes = np.unique(labels, return_counts=True)
     again = sizes[sizes > 1]
@@ -121,13 +119,13 @@ def count_labels(
 
 
 def groups_of(labels: Int64) -> list[Int64]:
-    """Indices of the segments of each object, by rising label."""
+    """Return the indices of each object's segments, by rising label."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
 def pairs_of(labels: Int64, limit: int) -> tuple[Int64, Int64]:
-    """Pairs of the same label, thinned evenly where there are many more than ``limit``."""
+    """Return pairs of the same label, thinned evenly if far more than ``limit``."""
     groups = groups_of(labels)
     total = sum(len(g) * (len(g) - 1) // 2 for g in groups)
     step = max(1, total // limit)

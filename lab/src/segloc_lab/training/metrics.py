@@ -1,4 +1,4 @@
-"""How well descriptors tell objects apart: ROC area and recall among the nearest."""
+"""ROC area and recall of descriptors."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from .dataset import SegmentDataset
 from .labels import groups_of
 
 _RESAMPLES = 500
-"""Draws of a bootstrap."""
+"""Bootstrap resamples."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Figures of one set of descriptors.
+    """Scores of a set of descriptors.
 
     Attributes
     ----------
     auc : float
-        Chance that a random matching pair (of different sessions where there are several) is nearer
-        than a random pair of different objects.
+        Probability that a random matching pair (of different sessions if there are several) is
+        closer than a random pair of different objects.
     recall : float or None
-        Share of segments with another session's view in the set, of which one is among the 25
-        nearest descriptors of other sessions. None if no object is in two sessions.
+        Share of segments with a view in another session that have one among the 25 nearest
+        descriptors of other sessions. None if no object is in two sessions.
     recall_first : float or None
-        The same for the nearest alone.
+        The same for the nearest descriptor.
     """
 
     auc: float
@@ -48,7 +48,7 @@ class Scores:
 
     def __str__(self) -> str:
         if self.recall is None or self.recall_first is None:
-            return f"auc {self.auc:.4f}; no recall: it needs objects of two sessions"
+            return f"auc {self.auc:.4f}; no recall, which needs objects in two sessions"
         recalls = f"recall@25 {self.recall:.4f}, recall@1 {self.recall_first:.4f}"
         return f"auc {self.auc:.4f}, {recalls}"
 
@@ -70,10 +70,10 @@ def nearest_is_right(
     threads: int = 1,
     distractors: Float32 | None = None,
 ) -> NDArray[np.float32]:
-    """(P,) 1 where the nearest descriptor of another session is of the same object.
+    """Return 1 where the nearest descriptor of another session is of the same object, (P,).
 
-    0 where it is not, NaN where no other session shows the object. ``distractors`` (M, dim) make
-    the pool as large as a map's.
+    0 if not, NaN if no other session shows the object. ``distractors`` (M, dim) enlarge the pool to
+    a map's size.
     """
     ranks = _ranks(vectors, dataset, 1, threads, distractors)
     return np.where(ranks < 0, np.nan, ranks == 0).astype(np.float32)
@@ -86,9 +86,9 @@ def _ranks(
     threads: int,
     distractors: Float32 | None = None,
 ) -> NDArray[np.int64]:
-    """Rank of the first right one among the k nearest of other sessions, (P,).
+    """Return the rank of the first correct one among the k nearest of other sessions, (P,).
 
-    k where there is none among them, -1 where no other session shows the object.
+    k if there is none, -1 if no other session shows the object.
     """
     ranks = np.full(len(dataset), -1, np.int64)
     for session in np.unique(dataset.sessions):
@@ -125,7 +125,7 @@ def _auc(vectors: Float32, dataset: SegmentDataset, rng: np.random.Generator) ->
 
 
 def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of all pairs with one label, of different sessions where there are several."""
+    """Return indices of all pairs of one label, of different sessions if there are several."""
     across = len(np.unique(dataset.sessions)) > 1
     first: list[NDArray[np.int64]] = []
     second: list[NDArray[np.int64]] = []
@@ -140,7 +140,7 @@ def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure with its 95 % interval."""
+    """Value with its 95 % interval."""
 
     value: float
     low: float
@@ -151,10 +151,10 @@ class Interval:
 
 
 def auc_interval(vectors: Float32, dataset: SegmentDataset, *, seed: int = 0) -> Interval:
-    """Area under the ROC with a bootstrap interval over places.
+    """Return the area under the ROC with a bootstrap interval over places.
 
-    Pairs of one place are not independent, so whole places are drawn: worlds where there are at
-    least five, squares of 100 m otherwise. A pair belongs to the place of its first segment.
+    Pairs of one place are correlated, so whole places are resampled: worlds if there are at least
+    five, else squares of 100 m. A pair belongs to the place of its first segment.
 
     Parameters
     ----------
@@ -175,19 +175,19 @@ def area_interval(
     wrong_places: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> Interval:
-    """Area under the ROC of any score, with a bootstrap interval over places.
+    """Return the area under the ROC of any score, with a bootstrap interval over places.
 
     Parameters
     ----------
     right, wrong : (R,), (W,)
-        Scores of pairs that match and of pairs that do not; high ones say that a pair matches.
+        Scores of matching and different pairs; higher for matching ones.
     right_places, wrong_places : (R,), (W,) int64
-        The place of each pair, from 0 on; see :func:`bootstrap_places`.
+        Place of each pair, from 0; see :func:`bootstrap_places`.
 
     Returns
     -------
     Interval
-        0.5 within 0 and 1 where there are no pairs of one kind.
+        0.5 within 0 and 1 if there are no pairs of one kind.
     """
     if len(right) == 0 or len(wrong) == 0:
         return Interval(0.5, 0.0, 1.0)
@@ -211,7 +211,7 @@ def area_interval(
 
 
 def bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
-    """(P,) the place of each segment: its world, or its square of 100 m where worlds are few."""
+    """Return the place of each segment (P,): its world, or its square of 100 m."""
     keys = dataset.places[:, None].astype(np.float64)
     if len(np.unique(dataset.places)) < 5:
         keys = np.column_stack([keys, np.floor(dataset.centroids[:, :2] / 100.0)])
@@ -221,7 +221,7 @@ def bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
 def _different_pairs(
     dataset: SegmentDataset, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Random pairs that surely differ, as many as there are matching ones or 20 000."""
+    """Draw pairs that certainly differ, as many as matching ones or 20 000."""
     count = max(20_000, len(matching_pairs(dataset)[0]))
     a, b = rng.integers(len(dataset), size=(2, 2 * count))
     differ = dataset.different(a, b)
@@ -236,7 +236,7 @@ def recall_at_k(
     ks: tuple[int, ...] = (1, 5, 25, 200),
     threads: int = 1,
 ) -> NDArray[np.float64]:
-    """Share of the queries with a right one among their k nearest in the pool, for each k.
+    """Return the share of queries with a correct one among their k nearest in the pool, per k.
 
     Parameters
     ----------
@@ -244,12 +244,12 @@ def recall_at_k(
     pool : (M, dim) float32
     query_labels : (Q,) int64
     pool_labels : (M,) int64
-        -1 for distractors. Queries whose label is not in the pool are left out.
+        -1 for distractors. Queries with labels not in the pool are skipped.
 
     Returns
     -------
     (len(ks),) float64
-        NaN where no query has a right one.
+        NaN if no query has a correct one.
     """
     known = np.isin(query_labels, pool_labels)
     if not known.any():
@@ -264,12 +264,12 @@ def recall_at_k(
 KS = (1, 5, 25, 200)
 _CHUNK = 2048
 _MAX_QUERIES = 5000
-"""Queries of a session; if there are more, they are chosen at random."""
+"""Maximum queries per session, chosen at random."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Figures of one descriptor on one dataset.
+    """Scores of a descriptor on a dataset.
 
     Attributes
     ----------
@@ -283,12 +283,12 @@ class Report:
 
 
 def load_descriptor(name: str, threads: int = 0) -> Descriptor:
-    """A descriptor by the path of its weights, or a registered one by its name."""
+    """Load a descriptor by the path of its weights, or a registered one by its name."""
     path = Path(name)
     if not path.exists():
         if name in available():
             return create(name, threads)
-        raise WeightsError(f"{name}: no such file, and no descriptor of that name")
+        raise WeightsError(f"{name}: neither a file nor a registered descriptor")
     with opened(path) as file:
         kind = file.metadata.get("format", "")
     if kind == "segloc network":
@@ -303,7 +303,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
 def describe(
     descriptor: Descriptor, dataset: SegmentDataset
 ) -> tuple[Float32, NDArray[np.float32] | None]:
-    """Vectors (P, dim) of all segments, and their qualities where the descriptor has them."""
+    """Return vectors (P, dim) of all segments, and their qualities if available."""
     vectors, qualities = [], []
     for first in range(0, len(dataset), _CHUNK):
         part = dataset.segments(np.arange(first, min(first + _CHUNK, len(dataset))))
@@ -325,15 +325,15 @@ def score_descriptor(
 ) -> Report:
     """Score a descriptor.
 
-    Each session is asked against all others of the dataset, which distractors pad to the sizes in
-    ``pools`` as far as they go.
+    Each session queries all others of the dataset, enlarged by distractors to the sizes in
+    ``pools`` if possible.
 
     Parameters
     ----------
     distractors : sequence of SegmentDataset
         Segments of other worlds.
     pools : sequence of int
-        Without any: the dataset's own segments, and all distractors.
+        By default: the dataset's own segments, and all distractors.
     """
     vectors, _ = describe(descriptor, dataset)
     others = [describe(descriptor, part)[0] for part in distractors]

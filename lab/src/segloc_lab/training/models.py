@@ -1,8 +1,8 @@
 """The descriptor networks in PyTorch, for training.
 
-X-conv after Li et al., "PointCNN" (NeurIPS 2018), with its order of linear map, ELU, batch norm.
-Convolutions over neighbours are written as matrix products: on a CPU they are several times faster
-than grouped Conv1d, and equal.
+X-conv after Li et al., "PointCNN" (NeurIPS 2018), in its order of linear map, ELU, batch norm.
+Convolutions over neighbours are matrix products: on a CPU several times faster than grouped
+Conv1d, with equal results.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NATIVE = ContextVar("native", default=True)
 
 @contextmanager
 def torch_forms() -> Iterator[None]:
-    """Every operation in its torch form, on the CPU too: to export a network, or to compare it."""
+    """Use torch operations on the CPU, too: to export a network, or to compare it."""
     token = _NATIVE.set(False)
     try:
         yield
@@ -51,13 +51,13 @@ def _array(tensor: Tensor) -> Any:
 def elu_norm(
     x: Tensor, weight: Tensor, bias: Tensor, eps: float, activate: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Batch norm over the columns of (R, C), after ELU where ``activate`` is set.
+    """Apply batch norm over the columns of (R, C), after ELU if ``activate`` is set.
 
     Returns
     -------
     output : (R, C)
     mean, variance : (C,)
-        Of the batch; the variance is biased. Without gradient.
+        Of the batch; the variance is biased. No gradient.
     """
     if _is_native(x, weight, bias):
         result: tuple[Tensor, Tensor, Tensor] = _EluNorm.apply(x, weight, bias, eps, activate)
@@ -124,7 +124,7 @@ def xconv_apply(
     x : (B, N, K, K)
     lift : (B, N, K, L)
     features : (B, S, F) or None
-        Gathered by ``neighbors`` and put behind ``lift``.
+        Gathered by ``neighbors`` and appended to ``lift``.
     neighbors : (B, N, K) int64
     depthwise : (D, K, L + F)
 
@@ -165,7 +165,7 @@ class _Apply(torch.autograd.Function):
 
 
 def column_maps(x: Tensor, weight: Tensor) -> Tensor:
-    """A depthwise map of matrices: row c of the result comes from column c.
+    """Apply a depthwise map of matrices: row c of the result comes from column c.
 
     Parameters
     ----------
@@ -176,10 +176,10 @@ def column_maps(x: Tensor, weight: Tensor) -> Tensor:
     if _is_native(x, weight):
         result: Tensor = _ColumnMaps.apply(x, weight)
         return result
-    # Most of this matrix is zero, and yet one large product is faster than K small ones.
+    # Most of this matrix is zero, yet one large product is faster than K small ones.
     K = len(weight)
     eye = torch.eye(K, dtype=weight.dtype, device=weight.device)
-    diagonals = weight.transpose(1, 2).unsqueeze(-1) * eye  # as diag_embed, which ONNX has not
+    diagonals = weight.transpose(1, 2).unsqueeze(-1) * eye  # as diag_embed, which ONNX lacks
     matrix = diagonals.permute(0, 2, 3, 1).reshape(K * K, K * K)
     return (x.flatten(-2) @ matrix.to(x.dtype)).view(x.shape)
 
@@ -208,7 +208,7 @@ class _ColumnMaps(torch.autograd.Function):
 
 
 def gather(values: Tensor, index: Tensor) -> Tensor:
-    """values (B, S, C), index (B, N, K) -> (B, N, K, C)."""
+    """Gather values (B, S, C) by index (B, N, K) to (B, N, K, C)."""
     B, S, C = values.shape
     base = torch.arange(B, device=values.device).view(B, 1, 1) * S
     return values.reshape(B * S, C)[index + base]
@@ -247,7 +247,7 @@ class Norm(nn.Module):
 
 
 def _weight(*shape: int, inputs: int) -> nn.Parameter:
-    """Uniform with the variance 1 / inputs."""
+    """Return uniform weights with variance 1 / inputs."""
     bound = (3.0 / inputs) ** 0.5
     return nn.Parameter(torch.empty(*shape).uniform_(-bound, bound))
 
@@ -258,7 +258,7 @@ class XConv(nn.Module):
     Parameters
     ----------
     inputs : int
-        Channels of the layer before; 0 for the first, which sees positions only.
+        Channels of the previous layer; 0 for the first, which has positions only.
     """
 
     def __init__(self, layer: Layer, inputs: int) -> None:
@@ -283,7 +283,7 @@ class XConv(nn.Module):
         self.norm = Norm(C)
 
     def forward(self, points: Tensor, features: Tensor | None, neighbors: Tensor) -> Tensor:
-        """Features of the layer's points.
+        """Return features of the layer's points.
 
         Parameters
         ----------
@@ -311,7 +311,7 @@ class XConv(nn.Module):
         return lifted
 
     def _transform(self, relative: Tensor) -> Tensor:
-        """The K x K matrix of each query."""
+        """Return the K x K matrix of each query."""
         B, N, K, _ = relative.shape
         x = self.x0_norm(relative.reshape(B, N, 3 * K) @ self.x0.flatten(1))
         x = column_maps(x.view(B, N, K, K), self.x1)
@@ -321,7 +321,7 @@ class XConv(nn.Module):
 
 
 def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> list[Tensor]:
-    """Dilated neighbours of every layer among points (B, S, 3): (B, N, K) int64 each."""
+    """Return dilated neighbours of every layer among points (B, S, 3): (B, N, K) int64 each."""
     result, sources = [], points.shape[1]
     for layer in layers:
         index = kernels.dilated_neighbors(
@@ -333,11 +333,11 @@ def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> 
 
 
 class DescriptorNetwork(nn.Module):
-    """Prepared segments to descriptors.
+    """Map prepared segments to descriptors.
 
-    ``trunk_parameters`` counts what the paper counts: everything up to the descriptor. `pair_head`
-    (FC4) sees the difference of two descriptors and says whether they match. `quality_head` sees
-    one descriptor and says how likely its nearest neighbour is to be a true match.
+    ``trunk_parameters`` counts parameters as the paper does: up to the descriptor. `pair_head`
+    (FC4) classifies the difference of two descriptors as matching or not. `quality_head` estimates
+    the probability that a descriptor's nearest neighbour is correct.
     """
 
     def __init__(
@@ -372,7 +372,7 @@ class DescriptorNetwork(nn.Module):
         return self.pair_head, self.quality_head
 
     def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
-        """What each X-conv layer makes of prepared segments (B, 256, 3): (B, N, C) each."""
+        """Return the output of each X-conv layer for prepared segments (B, 256, 3): (B, N, C)."""
         features, result = None, []
         found = neighbors or neighbors_of(points.detach().numpy(), self.layers)
         for xconv, index in zip(self.xconvs, found, strict=True):
@@ -382,9 +382,9 @@ class DescriptorNetwork(nn.Module):
         return result
 
     def forward(self, points: Tensor, *neighbors: Tensor) -> Tensor:
-        """Descriptors (B, dim) of prepared segments (B, 256, 3), float32.
+        """Return descriptors (B, dim) of prepared segments (B, 256, 3), float32.
 
-        The neighbours of every layer, (B, N, K) int64 each, are searched where they are not given.
+        ``neighbors`` of every layer, (B, N, K) int64 each, are searched if not given.
         """
         last = self.activations(points, *neighbors)[-1]
         position = points[:, : last.shape[1]]
@@ -397,11 +397,11 @@ class DescriptorNetwork(nn.Module):
         return descriptors
 
     def quality(self, descriptors: Tensor) -> Tensor:
-        """Probability that a descriptor's nearest neighbour is a true match, (B,)."""
+        """Return the probability that a descriptor's nearest neighbour is correct, (B,)."""
         return torch.sigmoid(self.quality_head(descriptors)).squeeze(-1)
 
     def pair_logits(self, a: Tensor, b: Tensor) -> Tensor:
-        """The logarithm of the odds (...,) that descriptors (..., dim) are of one object."""
+        """Return the log-odds (...,) that descriptors (..., dim) are of one object."""
         logits: Tensor = self.pair_head(a, b)
         return logits
 
@@ -414,10 +414,10 @@ def export(
     *,
     with_pairs: bool = False,
 ) -> None:
-    """Write the weights file that inference reads.
+    """Write the weights file for inference.
 
-    ``card`` says where the weights come from: data, command, figures, licence. ``with_pairs``: FC4
-    goes with them.
+    card: origin of the weights: data, command, figures, licence
+    with_pairs: True to include FC4
     """
     pairs = model.pair_head.tensors() if with_pairs else {}
     arrays = {name: np.ascontiguousarray(tensor.numpy()) for name, tensor in pairs.items()}
@@ -426,10 +426,10 @@ def export(
 
 @torch.no_grad()
 def folded(model: DescriptorNetwork) -> dict[str, Float32]:
-    """The tensors of inference (cpp/network.h lists them).
+    """Return the tensors of inference (see cpp/network.h).
 
-    A batch norm becomes part of the next linear map where nothing lies between them; where the
-    X-transform or the mean does, it stays as scale and shift. Computed in double.
+    A batch norm is folded into an adjacent linear map; before the X-transform or the mean it
+    remains as scale and shift. Computed in double precision.
     """
     tensors: dict[str, Tensor] = {}
     for index, layer in enumerate(model.xconvs):
@@ -455,7 +455,7 @@ def folded(model: DescriptorNetwork) -> dict[str, Float32]:
 
 
 def _affine(norm: Norm) -> tuple[Tensor, Tensor]:
-    """Scale and shift of a batch norm at inference."""
+    """Return scale and shift of a batch norm at inference."""
     assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)
     return scale, norm.bias.double() - norm.running_mean.double() * scale

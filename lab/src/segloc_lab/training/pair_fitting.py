@@ -1,4 +1,4 @@
-"""FC4 fitted to finished descriptors, on pairs that show one object and on others of two kinds."""
+"""Fit FC4 to finished descriptors, on matching pairs and two kinds of different ones."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _HIDDEN = 32
 
 
 class PairHead(nn.Module):
-    """The logarithm of the odds that two descriptors show one object.
+    """Log-odds that two descriptors show one object.
 
     Parameters
     ----------
     kind : {"linear", "quadratic", "two_layer"}
-        A linear map of the absolute difference; of that and its square, so that a weighted
-        Euclidean distance is among what it can learn; or two layers with a ReLU between them.
+        A linear map of the absolute difference; of that and its square, which includes weighted
+        Euclidean distances; or two layers with a ReLU in between.
     """
 
     def __init__(self, kind: HeadKind, dim: int) -> None:
@@ -39,7 +39,7 @@ class PairHead(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        """Logits of descriptors (..., dim) that broadcast; one axis less."""
+        """Return logits of descriptors (..., dim) that broadcast; one axis less."""
         x = (a - b).abs()
         if self.squares:
             x = torch.cat([x, x.square()], dim=-1)
@@ -48,7 +48,7 @@ class PairHead(nn.Module):
         return x.squeeze(-1)
 
     def tensors(self) -> dict[str, Tensor]:
-        """As :class:`segloc.descriptors.pointset.PairHead` reads them."""
+        """Return tensors for :class:`segloc.descriptors.pointset.PairHead`."""
         found: dict[str, Tensor] = {}
         for number, layer in enumerate(self.layers):
             assert isinstance(layer, nn.Linear)
@@ -58,52 +58,52 @@ class PairHead(nn.Module):
 
 
 def pair_loss(logits: Tensor, same: Tensor, *different: Tensor) -> Tensor:
-    """Cross-entropy of FC4; pairs that match weigh as much as all kinds of others together.
+    """Return FC4's cross-entropy; matching pairs weigh as much as all kinds of others together.
 
     Parameters
     ----------
     logits : (...,)
     same : (...,) bool
-        Pairs that match.
+        Matching pairs.
     *different : (...,) bool
-        Pairs of one kind each that do not; the kinds weigh alike.
+        Different pairs of one kind each; all kinds weigh the same.
     """
-    logits = logits.float()  # in single precision, whatever the network runs in
+    logits = logits.float()  # in single precision, whatever the network uses
     positive = _mean(functional.softplus(-logits), same)
     negative = torch.stack([_mean(functional.softplus(logits), kind) for kind in different])
     return (positive + negative.mean()) / 2
 
 
 def _mean(losses: Tensor, chosen: Tensor) -> Tensor:
-    """Mean over the chosen, 0 without any; without indexing, so that it can be batched."""
+    """Return the mean over the chosen, 0 if none; without indexing, so that it can be batched."""
     return losses.masked_fill(~chosen, 0.0).sum() / chosen.sum().clamp(min=1)
 
 
 PAIRS, STEPS = 24_000, 400
 SAME_M = 0.5
-"""Segments match where their centroids lie within this distance, as in the paper."""
+"""Maximum distance between centroids of matching segments [m], as in the paper."""
 
 _RATE, _DECAY = 0.02, 1e-5
 _NEAREST = 5
 
 
 class Located(Protocol):
-    """Segments of which it is known where they are, and which surely show different objects."""
+    """Segments with known places."""
 
     @property
     def places(self) -> Int64:
-        """(P,) the world of each."""
+        """World of each segment, (P,)."""
 
     @property
     def sessions(self) -> Int64:
-        """(P,) the recording of each."""
+        """Recording of each segment, (P,)."""
 
     @property
     def centroids(self) -> Float64:
-        """(P, 3) in the frame of the world, metres."""
+        """Centroids (P, 3) in the frame of the world [m]."""
 
     def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Whether segments (broadcast) surely show different objects."""
+        """Return whether segments (broadcast) certainly show different objects."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class PairSample:
     ----------
     first, second : (N,) int64
     same : (N,) bool
-        Of one place; all others are of two objects.
+        Matching pairs; all others are different.
     """
 
     first: Int64
@@ -123,10 +123,10 @@ class PairSample:
 
 
 def near_pairs(segments: Located) -> Int64:
-    """(N, 2) all pairs of one world, but different sessions, with centroids within 0.5 m.
+    """Return all pairs (N, 2) of one world, but different sessions, with centroids within 0.5 m.
 
-    By the paper's labels they match. Of the labels that descriptors are trained with, some show
-    different parts of something; FC4 fitted without these is worse than plain distance on all.
+    They match by the paper's labels. By the training labels some show different parts of an object;
+    FC4 fitted without these is worse than plain distance on all.
     """
     found = [np.empty((0, 2), np.int64)]
     for place in np.unique(segments.places):
@@ -139,7 +139,7 @@ def near_pairs(segments: Located) -> Int64:
 
 
 def random_pairs(segments: Located, count: int, rng: np.random.Generator) -> PairSample:
-    """Up to so many pairs that match, by the paper's labels, and as many of any two others."""
+    """Draw up to ``count`` matching pairs by the paper's labels, and as many of any two others."""
     near = near_pairs(segments)
     same = near[rng.permutation(len(near))[:count]]
     drawn = rng.integers(len(segments.places), size=(4 * count, 2))
@@ -151,7 +151,7 @@ def random_pairs(segments: Located, count: int, rng: np.random.Generator) -> Pai
 def nearest_wrong(
     segments: Located, vectors: Float32, count: int, rng: np.random.Generator, threads: int = 1
 ) -> tuple[Int64, Int64]:
-    """Segments and one each of the nearest descriptors that surely are of another object."""
+    """Return segments, each with one of the nearest descriptors of another object."""
     queries = rng.integers(len(vectors), size=count)
     k = min(len(vectors), 8 * _NEAREST)
     near, _ = kernels.knn(np.ascontiguousarray(vectors[queries]), vectors, k, threads)
@@ -170,16 +170,16 @@ def fit_pair_head(
     seed: int = 0,
     threads: int = 1,
 ) -> None:
-    """Fit FC4 to descriptors of several sets of segments, all of which weigh about alike.
+    """Fit FC4 to descriptors of several sets of segments of about equal weight.
 
-    It stays as it is where no two segments match.
+    FC4 is unchanged if no two segments match.
 
     Parameters
     ----------
     parts : sequence of ((P, dim) float32, Located)
-        Descriptors and what they describe.
+        Descriptors and their segments.
     nearest : bool
-        It also learns from nearest descriptors that are wrong, half of the negatives.
+        True to draw half of the negatives from nearest descriptors.
     """
     rng = np.random.default_rng([seed, 4])
     firsts, seconds, kinds = [], [], []
@@ -199,7 +199,7 @@ def fit_pair_head(
 
 
 def fit(head: PairHead, a: Tensor, b: Tensor, kind: Tensor) -> None:
-    """Fit FC4 to pairs (N, dim): those of kind 0 match, those of every other kind do not."""
+    """Fit FC4 to pairs (N, dim): kind 0 matches, every other kind is different."""
     others = [kind == k for k in range(1, int(kind.max()) + 1)]
     optimizer = torch.optim.Adam(head.parameters(), lr=_RATE, weight_decay=_DECAY)
     for step in range(STEPS):

@@ -1,4 +1,4 @@
-"""DSM and ESM as tasks: prepared points, X-conv, metric losses, native inference."""
+"""DSM and ESM: prepared points, X-conv, metric losses, native inference."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, judged
 
 
 class PointSetTask(Task):
-    """An X-conv network on 256 points of each segment.
+    """Task of an X-conv network on 256 points of each segment.
 
-    The inputs are the points and each layer's neighbours, which are searched beside the training.
+    Inputs are the points and each layer's neighbours, which other threads search.
     """
 
     def network(self, objects: int) -> DescriptorNetwork:
@@ -57,7 +57,7 @@ class PointSetTask(Task):
         return pair_loss(logits, batch.same, *negatives)
 
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
-        """By the native network: what inference will see."""
+        """Describe by the native network, as inference does."""
         assert isinstance(network, DescriptorNetwork)
         table = [(x.points, x.neighbors, x.dilation, x.channels) for x in network.layers]
         native = kernels.Network(table, folded(network), POINTS)
@@ -71,8 +71,8 @@ class PointSetTask(Task):
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         """Fit the heads to finished descriptors of held-out places.
 
-        The quality head to how often the nearest one is right, and FC4 if it was not trained with
-        the descriptor.
+        The quality head predicts whether the nearest one is correct; FC4 is fitted unless it was
+        trained with the descriptor.
         """
         assert isinstance(network, DescriptorNetwork)
         found = judged(self, network, training, held)
@@ -92,7 +92,7 @@ class PointSetTask(Task):
 
 
 def create(config: TrainConfig) -> PointSetTask:
-    """The task of "dsm" and "esm"."""
+    """Return the task of "dsm" and "esm"."""
     return PointSetTask(config)
 
 
@@ -102,7 +102,7 @@ def prepared_points(
     config: TrainConfig,
     rng: np.random.Generator | None = None,
 ) -> Float32:
-    """Segments as the network reads them, (B, 256, 3); augmented where a generator is given."""
+    """Return segments as inputs of the network (B, 256, 3); augmented if a generator is given."""
     parts = [dataset.segment(int(i)) for i in indices]
     if rng is not None:
         parts = [augment(part, config.augmentation, rng) for part in parts]

@@ -1,4 +1,4 @@
-"""The profile network as a task: shape profiles in, three dense layers, native inference."""
+"""The profile network: shape profiles, three dense layers, native inference."""
 
 from __future__ import annotations
 
@@ -36,11 +36,10 @@ _AT_ONCE = 4096
 
 
 class ProfileNetwork(nn.Module):
-    """Profiles (B, 175) to descriptors (B, DIM).
+    """Map profiles (B, 175) to descriptors (B, DIM).
 
-    Numbers are standardised by a batch norm and cut, then pass dense layers of ``WIDTHS`` with ELU
-    and batch norm, and a linear one. ``quality_head`` reads what the last hidden layer makes of
-    them.
+    Numbers are standardised by a batch norm and clipped, then pass dense layers of ``WIDTHS`` with
+    ELU and batch norm, and a linear one. ``quality_head`` reads the last hidden layer.
     """
 
     def __init__(self) -> None:
@@ -53,20 +52,20 @@ class ProfileNetwork(nn.Module):
         self.quality_head = nn.Linear(WIDTHS[-1], 1)
 
     def features(self, profile: Tensor) -> Tensor:
-        """What the last hidden layer makes of profiles, (B, WIDTHS[-1])."""
+        """Return the last hidden layer of profiles, (B, WIDTHS[-1])."""
         x = self.standardise(profile).clamp(-LIMIT, LIMIT)
         for layer, norm in zip(self.hidden, self.norms, strict=True):
             x = norm(functional.elu(layer(x)))
         return x
 
     def forward(self, profile: Tensor) -> Tensor:
-        """Descriptors (B, DIM)."""
+        """Return descriptors (B, DIM)."""
         result: Tensor = self.output(self.features(profile))
         return result
 
 
 class ProfileTask(Task):
-    """A small network on the shape profile of each segment."""
+    """Task of a small network on each segment's shape profile."""
 
     def network(self, objects: int) -> ProfileNetwork:
         return ProfileNetwork()
@@ -85,7 +84,7 @@ class ProfileTask(Task):
         return LOSSES[self.config.loss](x, batch.same, batch.different)
 
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
-        """Fit the quality to how often the nearest descriptor is right, on held-out places."""
+        """Fit the quality to the share of correct nearest descriptors, on held-out places."""
         assert isinstance(network, ProfileNetwork)
         found = judged(self, network, training, held)
         rows = [np.empty((0, WIDTHS[-1]), np.float32)]
@@ -101,7 +100,7 @@ class ProfileTask(Task):
 
 
 def create(config: TrainConfig) -> ProfileTask:
-    """The task of "profile"."""
+    """Return the task of "profile"."""
     return ProfileTask(config)
 
 
@@ -111,12 +110,12 @@ def prepared_segments(
     config: TrainConfig,
     rng: np.random.Generator | None = None,
 ) -> PreparedSegments:
-    """Aligned and sampled segments with heights; augmented where a generator is given."""
+    """Return aligned and sampled segments with heights; augmented if a generator is given."""
     parts = [dataset.segment(int(i)) for i in indices]
     heights = dataset.heights[indices].astype(np.float32)
     if rng is not None:
         changed = [augment(part, config.augmentation, rng) for part in parts]
-        # What is cut off above or below moves the centroid.
+        # Points cut off above or below move the centroid.
         rise = [a[:, 2].mean() - b[:, 2].mean() for a, b in zip(changed, parts, strict=True)]
         parts, heights = changed, heights + np.array(rise, np.float32)
     points = kernels.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
@@ -125,7 +124,7 @@ def prepared_segments(
 
 @torch.no_grad()
 def folded(network: ProfileNetwork) -> dict[str, Float32]:
-    """The tensors of inference (cpp/perceptron.h lists them); the quality is the last output."""
+    """Return the tensors of inference (cpp/perceptron.h); the quality is the last output."""
     norm = network.standardise
     assert norm.running_mean is not None and norm.running_var is not None
     tensors = {

@@ -22,7 +22,7 @@ from .tasks import Batch, Inputs, Task
 
 DIM = 64
 MAX_OBJECTS = 6_000
-"""Objects that the classifier knows: those with most views. More would make it outgrow the rest."""
+"""Objects of the classifier, those with most views; more would outgrow the rest of the network."""
 
 _RECONSTRUCTION = 200.0  # weight of that loss, and of occupied and empty voxels in it
 _OCCUPIED, _EMPTY = 0.9, 0.1
@@ -34,7 +34,7 @@ class SegMapNetwork(nn.Module):
     Parameters
     ----------
     objects : int
-        Classes to tell apart.
+        Number of classes.
     """
 
     def __init__(self, objects: int) -> None:
@@ -60,7 +60,7 @@ class SegMapNetwork(nn.Module):
         return sum(p.numel() for p in self.parameters()) - rest
 
     def describe(self, grids: Tensor, scales: Tensor) -> Tensor:
-        """Descriptors (B, 64) of grids (B, 32, 32, 16) with their scales (B, 3) in metres."""
+        """Return descriptors (B, 64) of grids (B, 32, 32, 16) with scales (B, 3) [m]."""
         x = functional.max_pool3d(functional.relu(self.conv1(grids[:, None])), 2)
         x = functional.max_pool3d(functional.relu(self.conv2(x)), 2)
         x = functional.relu(self.conv3(x))
@@ -70,7 +70,7 @@ class SegMapNetwork(nn.Module):
         return descriptor
 
     def forward(self, grids: Tensor, scales: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Descriptors, logits of the classes, and logits of the voxels' occupancy."""
+        """Return descriptors, class logits, and logits of the voxels' occupancy."""
         descriptor = self.describe(grids, scales)
         normed = self.norm(descriptor)
         logits = self.classifier(functional.dropout(normed, 0.35, self.training))
@@ -109,7 +109,7 @@ class SegMapTask(Task):
         return classes + _RECONSTRUCTION * rebuilt
 
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
-        """By the native network, before its weights are rounded for the file."""
+        """Describe by the native network, before weights are rounded for the file."""
         assert isinstance(network, SegMapNetwork)
         native = kernels.VoxelNetwork(folded(network))
         parts = [np.empty((0, DIM), np.float32)]
@@ -127,12 +127,12 @@ class SegMapTask(Task):
 
 
 def create(config: TrainConfig) -> SegMapTask:
-    """The task of "segmap"."""
+    """Return the task of "segmap"."""
     return SegMapTask(config)
 
 
 def voxelised(parts: list[Float32], threads: int) -> VoxelShapes:
-    """Occupancy grids of some segments, as inference makes them."""
+    """Return occupancy grids of segments, as in inference."""
     P = len(parts)
     segments = Segments(*packed(parts), np.zeros((P, 3)), np.zeros(P, np.float32))
     return prepare(segments, threads)
@@ -140,7 +140,7 @@ def voxelised(parts: list[Float32], threads: int) -> VoxelShapes:
 
 @torch.no_grad()
 def folded(network: SegMapNetwork) -> dict[str, Float32]:
-    """The tensors of inference (cpp/voxel_network.h lists them), batch norm folded away."""
+    """Return the tensors of inference (cpp/voxel_network.h), with batch norm folded in."""
     norm = network.fc1_norm
     assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)

@@ -1,4 +1,4 @@
-"""Sessions of one place, brought together where their poses drifted apart."""
+"""Register sessions of one place with drifting poses."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Pose
 
-_LEAST_POINTS = 200
+_MIN_POINTS = 200
 _SAMPLE = 2000
-LEAST_MET = 0.2
-"""Local clouds that meet less of the structure saw a place that no earlier session knows."""
+MIN_OVERLAP = 0.2
+"""Local clouds that overlap the structure less are of a place new to earlier sessions."""
 
 
 class RegisterConfig(Section):
-    """How local clouds are aligned with earlier sessions, and what is believed."""
+    """Settings of the registration of local clouds with earlier sessions."""
 
-    radius_m: float = Field(40.0, gt=0, description="points around the sensor that are aligned")
+    radius_m: float = Field(40.0, gt=0, description="range of points around the sensor")
     voxel_m: float = Field(0.5, gt=0)
-    max_correspondence_m: float = Field(2.5, gt=0, description="of corresponding points")
-    near_m: float = Field(0.6, gt=0, description="points count as met within this distance")
-    max_shift_m: float = Field(4.0, gt=0, description="larger corrections are not believed")
+    max_correspondence_m: float = Field(2.5, gt=0, description="longest correspondence")
+    near_m: float = Field(0.6, gt=0, description="maximum distance of overlapping points")
+    max_shift_m: float = Field(4.0, gt=0, description="maximum correction")
     max_turn_deg: float = Field(4.0, gt=0)
-    min_shared: float = Field(0.5, gt=0, le=1, description="share of points that must be met")
+    min_shared: float = Field(0.5, gt=0, le=1, description="minimum share of overlapping points")
 
 
 class Registration:
-    """Corrects poses against the structure that earlier sessions saw.
+    """Correct poses by the structure of earlier sessions.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Registration:
     Attributes
     ----------
     accepted, rejected, alone : int
-        Local clouds that were aligned, that did not fit, and that no earlier session saw.
+        Local clouds that were aligned, that did not match, and without earlier structure.
     """
 
     def __init__(self, structure: Float32) -> None:
@@ -52,16 +52,16 @@ class Registration:
         index = kernels.PointIndex(structure, 2 * self.config.near_m)
         self._target = Target(self._aligner.surface(structure), index)
         self._seen = len(structure) > 0
-        self._last: Pose | None = None  # the correction that was believed last, world frame
+        self._last: Pose | None = None  # the last accepted correction, world frame
         self.accepted = self.rejected = self.alone = 0
         self.shifts_m: list[float] = []
 
     def corrected(self, T_world_local: Pose, surface: Float32) -> Pose:
-        """The pose that aligns a local cloud's surface (N, 3); unchanged where none did before."""
+        """Return the pose that aligns a local cloud's surface (N, 3); unchanged if it is new."""
         start = T_world_local if self._last is None else self._last @ T_world_local
         near = surface[(surface[:, :2] ** 2).sum(axis=1) < self.config.radius_m**2]
         source = _Source(self._aligner.surface(near), thinned(near, _SAMPLE))
-        if not self._seen or self._met(start, source, 2 * self.config.near_m) < LEAST_MET:
+        if not self._seen or self._met(start, source, 2 * self.config.near_m) < MIN_OVERLAP:
             self.alone += 1
             self._last = None
             return T_world_local
@@ -76,13 +76,13 @@ class Registration:
         return T
 
     def _met(self, T: Pose, source: _Source, radius: float) -> float:
-        """Share of the points with some of the structure within a radius."""
-        if len(source.sample) < _LEAST_POINTS:
+        """Return the share of points with structure within a radius."""
+        if len(source.sample) < _MIN_POINTS:
             return 0.0
         return self._target.overlap(source.sample, T, radius)[0]
 
     def _registered(self, T: Pose, source: _Source) -> Registered | None:
-        if min(len(self._target.surface), len(source.surface)) < _LEAST_POINTS:
+        if min(len(self._target.surface), len(source.surface)) < _MIN_POINTS:
             return None
         return self._aligner.register(self._target, source, T, self.config.near_m)
 
@@ -94,7 +94,7 @@ class Registration:
             or turn > self.config.max_turn_deg
         ):
             return False
-        met = found.overlap if len(source.sample) >= _LEAST_POINTS else 0.0
+        met = found.overlap if len(source.sample) >= _MIN_POINTS else 0.0
         earlier = self._met(before, source, self.config.near_m)
         return met >= self.config.min_shared and met >= earlier - 0.02
 

@@ -1,8 +1,8 @@
-"""A dataset as a folder: a shard a session, and an index that labels what the shards hold.
+"""Datasets as folders: one shard per session, and an index with labels.
 
-``index.json`` names the places with their sessions; ``labels.safetensors`` holds the labels of
-each shard's segments, which need all sessions of a place. A shard that is finished stays as it
-is, so that an extraction that was cut off goes on where it stopped.
+``index.json`` lists places and sessions; ``labels.safetensors`` holds the labels of each shard's
+segments, which need all sessions of a place. Finished shards are kept, so an interrupted extraction
+resumes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Session:
-    """One recording of a place: what its shard is called, and which sensor made it."""
+    """One recording of a place, with the name of its shard and its sensor."""
 
     place: str
     name: str
@@ -46,13 +46,13 @@ class Session:
 
 
 def options_of(config: ExtractConfig, **more: Any) -> str:
-    """A hash of everything that decides what a shard holds."""
+    """Return a hash of everything that affects a shard."""
     text = config.model_dump_json(exclude={"label"}) + json.dumps(more, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def write_shard(folder: Path, session: Session, extract: Extract, options: str) -> None:
-    """Write a session's shard; points are kept in half precision about their centroids."""
+    """Write a session's shard, with points in half precision about their centroids."""
     arrays = {f.name: np.ascontiguousarray(getattr(extract, f.name)) for f in fields(Extract)}
     arrays["points"] = arrays["points"].astype(np.float16)
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ def write_shard(folder: Path, session: Session, extract: Extract, options: str) 
 
 
 def _in_order(data: bytes) -> bytes:
-    """The same file with its texts in order: the package writes them in any."""
+    """Return the file with its texts sorted; the package writes them in any order."""
     size = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + size])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
@@ -71,21 +71,21 @@ def _in_order(data: bytes) -> bytes:
 
 
 def finished(folder: Path, session: Session, options: str) -> bool:
-    """Whether a session's shard is there, made with these options."""
+    """Return whether a session's shard with these options exists."""
     try:
-        with tensor_file.opened(folder / session.file) as file:
+        with tensor_file.open_tensor_file(folder / session.file) as file:
             return file.metadata.get("options") == options
     except (OSError, TensorFileError):
         return False
 
 
 def read_array(folder: Path, session: Session, name: str) -> Any:
-    """One array of a shard."""
+    """Read one array of a shard."""
     return read_arrays(folder / session.file, [name])[0][name]
 
 
 def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> LabelCounts:
-    """Label the segments of the named sessions, all others in the folder, and write the index.
+    """Label the segments of these and all other sessions in the folder, and write the index.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> La
 
 
 def _listed(folder: Path) -> list[Session]:
-    """The sessions that the index of a folder names."""
+    """Return the sessions in a folder's index."""
     path = folder / INDEX
     try:
         index = json.loads(path.read_text("utf-8"))
@@ -172,11 +172,11 @@ def _total(counts: Iterable[LabelCounts]) -> LabelCounts:
 
 
 def load_dataset(path: Path) -> SegmentDataset:
-    """Read a dataset: a folder of shards, or one file that :meth:`SegmentDataset.save` wrote."""
+    """Read a dataset: a folder of shards, or one file of :meth:`SegmentDataset.save`."""
     if path.is_file():
         return SegmentDataset.load(path)
     if not (path / INDEX).is_file():
-        raise DatasetError(f"{path}: no dataset: there is no {INDEX} in it")
+        raise DatasetError(f"{path}: not a dataset: no {INDEX} in it")
     sessions = _listed(path)
     if not sessions:
         raise DatasetError(f"{path}: the dataset is empty")
@@ -190,10 +190,10 @@ def load_dataset(path: Path) -> SegmentDataset:
 
 
 def _place(path: Path, sessions: Sequence[Session], labels: dict[str, Int64]) -> SegmentDataset:
-    """All sessions of one place; their labels already fit together."""
+    """Return all sessions of one place with their common labels."""
     names = tuple(sorted({session.sensor for session in sessions}))
     parts = [_session(path, session, names, labels) for session in sessions]
-    joined = SegmentDataset.concatenate(parts)  # numbers the sessions; labels fit already
+    joined = SegmentDataset.concatenate(parts)  # numbers the sessions; labels are common already
     together = np.concatenate([part.labels for part in parts])
     return replace(joined, labels=together, places=np.zeros(len(joined), np.int64))
 
@@ -209,7 +209,7 @@ def _session(
     P = len(arrays["lengths"])
     own = labels.get(session.file)
     if own is None or len(own) != P:
-        raise DatasetError(f"{path / session.file}: its labels are missing or do not fit")
+        raise DatasetError(f"{path / session.file}: its labels are missing or do not match")
     dataset = SegmentDataset(
         labels=own,
         sessions=np.zeros(P, np.int64),

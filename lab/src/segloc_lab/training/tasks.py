@@ -1,4 +1,4 @@
-"""What the training loop has to know of a kind of network, and the kinds there are by name."""
+"""Tasks: what the training loop needs of each kind of network."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 def in_float32(loss: Loss) -> Loss:
-    """A loss in single precision, whatever the network runs in.
+    """Compute a loss in single precision, whatever the network uses.
 
-    Under autocast even float32 descriptors would be multiplied in bfloat16, whose 8 bits lose the
+    Under autocast, float32 descriptors would be multiplied in bfloat16, whose 8 bits lose the
     differences between distances.
     """
 
@@ -42,21 +42,21 @@ def in_float32(loss: Loss) -> Loss:
 
 
 def squared_distances(x: Tensor) -> Tensor:
-    """(B, B) squared Euclidean distances of the rows of (B, dim)."""
+    """Return squared Euclidean distances (B, B) of the rows of (B, dim)."""
     squares = x.square().sum(dim=-1)
     return (squares[:, None] + squares[None, :] - 2.0 * x @ x.T).clamp(min=0.0)
 
 
 def info_nce(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
-    """Cross-entropy of picking one of the same object among all that differ.
+    """Return the cross-entropy of picking a matching descriptor among all different ones.
 
-    The logits are negative squared distances, so that the scale of the descriptors is learned.
+    Logits are negative squared distances, so that the scale of the descriptors is learned.
 
     Parameters
     ----------
     x : (B, dim)
     same, different : (B, B) bool
-        Pairs that are neither are left out.
+        Pairs that are neither are ignored.
     """
     logits = -squared_distances(x)
     others = torch.logsumexp(logits.masked_fill(~different, -1e9), dim=1, keepdim=True)
@@ -65,7 +65,7 @@ def info_nce(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
 
 
 def hard_triplet(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
-    """Soft-margin triplets of each anchor's farthest same and nearest different descriptor."""
+    """Return soft-margin triplets of each anchor's farthest same and nearest different one."""
     distances = (squared_distances(x) + 1e-12).sqrt()
     farthest = distances.masked_fill(~same, -1.0).amax(dim=1)
     nearest = distances.masked_fill(~different, 1e9).amin(dim=1)
@@ -74,7 +74,7 @@ def hard_triplet(x: Tensor, same: Tensor, different: Tensor) -> Tensor:
 
 
 def ratio_triplet(x: Tensor, same: Tensor, different: Tensor, margin: float = 0.1) -> Tensor:
-    """Triplets by ratio plus a term that draws pairs together, with in-batch hard negatives.
+    """Return ratio triplets plus the distance of matching pairs, with in-batch hard negatives.
 
     With d+ and d- the squared distances of a matching pair and of the anchor's nearest different
     descriptor: max(0, 1 - d- / (d+ + margin)) + d+ (Wohlhart and Lepetit, "Learning descriptors for
@@ -96,10 +96,10 @@ def multi_similarity(
     base: float = 0.5,
     margin: float = 0.1,
 ) -> Tensor:
-    """Pairs weighted by their own and by relative similarity, the cosine (Wang et al., CVPR 2019).
+    """Weight pairs by absolute and relative cosine similarity (Wang et al., CVPR 2019).
 
-    Of an anchor's pairs those count that are mined: negatives more similar than its least similar
-    positive less the margin, positives less similar than its most similar negative plus the margin.
+    Only mined pairs of an anchor count: negatives more similar than its least similar positive less
+    the margin, positives less similar than its most similar negative plus the margin.
     """
     unit = functional.normalize(x)
     similarity = unit @ unit.T
@@ -129,18 +129,18 @@ Inputs = tuple[Tensor, ...]
 
 @dataclass(frozen=True)
 class Batch:
-    """B segments as a network reads them, and how they are related.
+    """B segments as a network's input, with their relations.
 
     Attributes
     ----------
     inputs : tuple of tensors
-        What the task prepared; the first axis of each is B.
+        Prepared by the task; the first axis of each is B.
     labels : (B,) int64
-        Numbers of the objects, from 0 on, over the training set.
+        Object numbers over the training set, from 0.
     same, different : (B, B) bool
-        Pairs that are neither say nothing.
+        Pairs that are neither are ignored.
     random : (B,) bool
-        Segments of objects that were drawn at random, not because they are easily mistaken.
+        True for segments of objects drawn at random rather than as hard ones.
     """
 
     inputs: Inputs
@@ -150,7 +150,7 @@ class Batch:
     random: Tensor
 
     def to(self, device: torch.device) -> Batch:
-        """The batch on a device."""
+        """Move the batch to a device."""
         others = (self.labels, self.same, self.different, self.random)
         move = [t.to(device, non_blocking=True) for t in others]
         inputs = tuple(t.to(device, non_blocking=True) for t in self.inputs)
@@ -158,21 +158,21 @@ class Batch:
 
 
 class Task(ABC):
-    """One kind of network: how it reads segments, what it minimises, how it is written.
+    """A kind of network: its inputs, loss and export.
 
-    Everything here depends on the configuration and the arguments alone. ``inputs`` is called from
-    threads beside the one that trains.
+    Depends on the configuration and the arguments alone. ``inputs`` is called from other threads
+    than training.
     """
 
     max_objects: int | None = None
-    """Train on the objects with most views only, where the network depends on their number."""
+    """Limit to the objects with most views, if the network's size depends on their number."""
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
 
     @abstractmethod
     def network(self, objects: int) -> nn.Module:
-        """A fresh network; ``objects`` is the number of objects of the training set."""
+        """Return a new network; ``objects`` is the number of objects of the training set."""
 
     @abstractmethod
     def inputs(
@@ -181,23 +181,23 @@ class Task(ABC):
         indices: NDArray[np.int64],
         rng: np.random.Generator | None = None,
     ) -> Inputs:
-        """Some segments as the network reads them; augmented where a generator is given."""
+        """Return segments as inputs of the network; augmented if a generator is given."""
 
     @abstractmethod
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
-        """What is to be minimised on a batch, a scalar."""
+        """Return the loss of a batch, a scalar."""
 
     @abstractmethod
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
-        """Write the weights file that inference reads."""
+        """Write the weights file for inference."""
 
     def encode(self, network: nn.Module, inputs: Inputs) -> Tensor:
-        """Descriptors (B, dim) of prepared segments, of a network in evaluation mode."""
+        """Return descriptors (B, dim) of prepared segments, by a network in evaluation mode."""
         result: Tensor = network(*inputs)
         return result
 
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
-        """Descriptors (P, dim) of all segments of a dataset."""
+        """Return descriptors (P, dim) of all segments of a dataset."""
         device = next(network.parameters()).device
         was_training = network.training
         network.eval()
@@ -213,23 +213,23 @@ class Task(ABC):
     def finish(  # noqa: B027
         self, network: nn.Module, training: SegmentDataset, held: SegmentDataset
     ) -> None:
-        """Fit what is fitted to the finished descriptors, before the export.
+        """Fit the heads to finished descriptors, before the export.
 
-        ``held`` holds the segments that the network was not trained on.
+        ``held`` holds segments the network was not trained on.
         """
 
 
 Factory = Callable[[TrainConfig], Task]
 
 MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap": "segmap"}
-"""In which module of this package each network is; known without importing torch's users."""
+"""Module of each network; listed without importing PyTorch."""
 
 
 def create_task(config: TrainConfig) -> Task:
-    """The task of the configured network."""
+    """Return the task of the configured network."""
     name = config.network
     if name not in MODULES:
-        raise ConfigError(f"no network {name!r} to train; there are {', '.join(sorted(MODULES))}")
+        raise ConfigError(f"no network {name!r} to train; available: {', '.join(sorted(MODULES))}")
     module = importlib.import_module(f"{__package__}.{MODULES[name]}")
     factory: Factory = module.create
     return factory(config)

@@ -42,7 +42,7 @@ def draw_batch(
     config: TrainConfig,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], int]:
-    """Some views of some objects: random ones, and others that are easily taken for them.
+    """Draw views of random objects, and of hard ones similar to them.
 
     The second number is how many of them, from the first on, are of the random ones.
     """
@@ -67,7 +67,7 @@ def _views(
     config: TrainConfig,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Some views of an object; mostly of different sessions, as far as there are several."""
+    """Draw some views of an object; mostly of different sessions, if there are several."""
     order = rng.permutation(group)
     if rng.random() < config.across:
         _, first = np.unique(sessions[order], return_index=True)
@@ -78,10 +78,10 @@ def _views(
 def relations(
     dataset: SegmentDataset, indices: NDArray[np.int64], far_m: float
 ) -> tuple[Tensor, Tensor]:
-    """(B, B) which pairs show the same object, and which surely different ones.
+    """Return which pairs show the same object, and which certainly different ones, (B, B).
 
-    Pairs of one world with different labels that lie nearer than ``far_m`` are neither: they may be
-    parts of one object.
+    Pairs of one world with different labels closer than ``far_m`` are neither: they may be parts of
+    one object.
     """
     labels = dataset.labels[indices]
     same = (labels[:, None] == labels[None, :]) & ~np.eye(len(indices), dtype=bool)
@@ -90,19 +90,19 @@ def relations(
 
 
 class Batches:
-    """The batches of a training run; that of a step depends on the step and the rank alone.
+    """Batches of a training run; each depends on the step and the rank alone.
 
     Parameters
     ----------
     rank : int
-        Which of several processes this is: each draws its own batches.
+        Number of this process; each draws its own batches.
 
     Attributes
     ----------
     groups : list of (n,) int64
         Segments of each object with at least two.
     mistakable : (n, m) int64
-        Some objects, and after each those that are easily taken for it; may be empty.
+        Some objects, and after each those similar to it; may be empty.
     """
 
     def __init__(self, dataset: SegmentDataset, task: Task, rank: int = 0) -> None:
@@ -116,7 +116,7 @@ class Batches:
             self._numbers[dataset.labels[group[0]]] = number
 
     def make(self, step: int) -> Batch:
-        """The batch of a step."""
+        """Return the batch of a step."""
         config = self._task.config
         seed = [config.seed, step, self._rank] if self._rank else [config.seed, step]
         rng = np.random.default_rng(seed)
@@ -129,9 +129,9 @@ class Batches:
         return Batch(inputs, labels, *related, torch.arange(len(indices)) < random)
 
     def between(self, first: int, last: int) -> Iterator[Batch]:
-        """Batches of the steps from ``first`` to before ``last``, made ahead in other threads.
+        """Yield batches of the steps from ``first`` to before ``last``, prepared in other threads.
 
-        ``mistakable`` must not be changed until they are used up.
+        ``mistakable`` must not change meanwhile.
         """
         with ThreadPoolExecutor(self._task.config.threads) as pool:
             waiting: deque[Future[Batch]] = deque()
@@ -150,7 +150,7 @@ class Batches:
 Progress = Callable[[str], None]
 _MAY_CHANGE = {"steps", "max_minutes", "threads", "device"}
 _RIVALS = 16
-_LARGEST = 1e15  # what the search for neighbours takes
+_LARGEST = 1e15  # limit of the neighbour search
 _UNREADABLE = (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError)
 
 
@@ -163,16 +163,16 @@ def train(
 ) -> Scores:
     """Train a network, and write ``out`` (a .safetensors file) with the best weights.
 
-    The state is kept in ``out`` with the suffix .checkpoint: a run that was cut off goes on from
-    there if it is started again with the same configuration. Under torchrun several processes
-    train together, each on batches of its own.
+    The state is saved in ``out`` with the suffix .checkpoint: an interrupted run with the same
+    configuration resumes from it. Under torchrun several processes train together, each on its own
+    batches.
 
     Parameters
     ----------
     dataset : SegmentDataset
         Split by worlds (or by objects, if there is one world) into training and validation.
     card : dict, optional
-        Goes into the weights file: data, command, licence. Figures are added.
+        Stored in the weights file: data, command, licence. Figures are added.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def _silent(_: str) -> None:
 
 
 class _Run:
-    """The state of one training run."""
+    """State of a training run."""
 
     def __init__(
         self,
@@ -261,7 +261,7 @@ class _Run:
                     return
 
     def _upcoming(self) -> Iterator[Batch]:
-        """The batches that are left; those after a search for mistakable objects follow it."""
+        """Yield the remaining batches; a search for hard objects precedes its batches."""
         config = self.config
         every = config.mine_every if config.hard_share > 0 else config.steps
         while self.step < config.steps:
@@ -287,7 +287,7 @@ class _Run:
         return loss.detach()
 
     def _precision(self) -> AbstractContextManager[Any]:
-        """bfloat16 has the range of single precision, so no loss is scaled."""
+        """Return autocast; bfloat16 has the range of single precision, so no loss is scaled."""
         kind = self.group.device.type
         if self.config.precision == "bfloat16" or (
             self.config.precision == "auto" and kind == "cuda"
@@ -296,7 +296,7 @@ class _Run:
         return nullcontext()
 
     def _mine(self) -> NDArray[np.int64]:
-        """Some objects, each with those whose descriptors are nearest to its own, (n, 17)."""
+        """Return some objects, each with those of the nearest descriptors, (n, 17)."""
         groups = self.batches.groups
         rng = np.random.default_rng([self.config.seed, self.step, 1])
         some = rng.permutation(len(groups))[: self.config.mine_objects]
@@ -307,12 +307,11 @@ class _Run:
 
     def _describe(self, model: nn.Module, dataset: SegmentDataset) -> NDArray[np.float32]:
         fault = ConfigError(
-            f"descriptors are no usable numbers any more at step {self.step}; "
-            "try a smaller learning_rate"
+            f"descriptors are not finite at step {self.step}; try a smaller learning_rate"
         )
         try:
             vectors = self.task.describe(self._on_cpu(model), dataset)
-        except ValueError as error:  # the native network takes no such weights
+        except ValueError as error:  # rejected by the native network
             raise fault from error
         if not (np.abs(vectors) < _LARGEST).all():
             raise fault
@@ -333,7 +332,7 @@ class _Run:
         return scores
 
     def best_model(self) -> nn.Module:
-        """The network with the best weights, on the CPU, in evaluation mode."""
+        """Return the network with the best weights, on the CPU, in evaluation mode."""
         model = self.task.network(len(self.batches.groups))
         model.load_state_dict({k: v.cpu() for k, v in self.best_state.items()})
         return model.eval()
@@ -355,7 +354,7 @@ class _Run:
             torch.save(state, stream)
 
     def resume(self, progress: Progress) -> None:
-        """Take up the state of a run that was cut off, if there is one."""
+        """Resume an interrupted run, if there is one."""
         if not self.checkpoint.exists():
             return
         try:
@@ -368,9 +367,9 @@ class _Run:
         except _UNREADABLE as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(":")
             raise DatasetError(
-                f"{self.checkpoint}: not the state of this run ({reason}); remove it to start anew"
+                f"{self.checkpoint}: not the state of this run ({reason}); remove it to restart"
             ) from error
-        progress(f"going on from step {self.step}")
+        progress(f"resuming from step {self.step}")
 
     def _take_up(self, state: dict[str, Any]) -> None:
         self.model.load_state_dict(state["model"])
@@ -382,7 +381,7 @@ class _Run:
 
 
 def _agrees(saved: str, config: TrainConfig) -> bool:
-    """Whether a run with the saved configuration may go on; unknown values have their defaults."""
+    """Return whether a run with the saved configuration may resume; missing keys have defaults."""
     try:
         before = TrainConfig.model_validate_json(saved)
     except ValidationError:
@@ -399,12 +398,12 @@ def _schedule(step: int, config: TrainConfig) -> float:
 
 
 class Group:
-    """The processes of a run; entered, they are connected where there are several.
+    """The processes of a run; on entry they are connected if there are several.
 
     Attributes
     ----------
     leads : bool
-        Whether this process is the one that validates aloud and writes files.
+        True for the process that validates and writes files.
     """
 
     def __init__(self, device: str) -> None:
@@ -426,17 +425,17 @@ class Group:
             dist.destroy_process_group()
 
     def average_gradients(self, model: nn.Module) -> None:
-        """Give all processes the mean of their gradients, in one exchange.
+        """Average the gradients of all processes in one exchange.
 
-        The networks are small, and a task may call any part of one, which a wrapper about
-        its ``forward`` would not see.
+        The networks are small, and a task may call any part of one, which a wrapper around
+        ``forward`` would miss.
         """
         if self._size > 1:
             parameters = list(model.parameters())
             self._average([torch.zeros_like(p) if p.grad is None else p.grad for p in parameters])
 
     def average_buffers(self, model: nn.Module) -> None:
-        """Give all processes the mean of their running statistics."""
+        """Average the running statistics of all processes."""
         if self._size > 1:
             self._average([b for b in model.buffers() if b.is_floating_point()])
 
@@ -448,7 +447,7 @@ class Group:
             tensor.copy_(mean.view_as(tensor))
 
     def agreed(self, wanted: bool) -> bool:
-        """What the leading process wants, so that all stop at the same step."""
+        """Return the leading process's value, so that all stop at the same step."""
         if self._size == 1:
             return wanted
         flag = torch.tensor([float(wanted)], device=self.device)

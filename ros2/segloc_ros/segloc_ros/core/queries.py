@@ -9,7 +9,7 @@ import numpy as np
 
 from segloc import Prior, SeglocError, geometry
 from segloc.live import LiveCore
-from segloc.live.core import Asked
+from segloc.live.core import PendingQuery
 from segloc.pipeline import Search
 from segloc.proposals.proposer import Query
 from segloc.tracking.belief import View
@@ -25,7 +25,7 @@ class Job:
     """A query that is due, and where alone it may look."""
 
     core: LiveCore
-    asked: Asked
+    asked: PendingQuery
     near: Prior | None
 
 
@@ -73,7 +73,7 @@ def make(job: Job) -> Answer:
     """Make a query."""
     found: list[tuple[Query, Search, Mapping[str, float]]] = []
     try:
-        view = job.core.ask(job.asked, near=job.near, heard=lambda *all_of: found.append(all_of))
+        view = job.core.ask(job.asked, near=job.near, callback=lambda *all_of: found.append(all_of))
     except SeglocError as error:
         return Answer(job, None, message=str(error))
     if not found:

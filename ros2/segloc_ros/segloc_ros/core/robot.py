@@ -220,7 +220,7 @@ class Robot:
         """Nothing has come in for so long."""
         if self._core is None or not self._core.scans:
             return []
-        return self._tell([self._core.silent(seconds)])
+        return self._tell([self._core.report_silence(seconds)])
 
     # --- queries -------------------------------------------------------------------------------
 

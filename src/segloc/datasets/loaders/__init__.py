@@ -1,1 +1,1 @@
-"""One module a dataset: where its scans, times and poses lie."""
+"""Loaders, one module per dataset: files of scans, times and poses."""

@@ -2,8 +2,8 @@
 
 Format: DATA_REFERENCE.md of github.com/utiasASRL/pyboreas; K. Burnett et al., "Boreas: A
 multi-season autonomous driving dataset", IJRR 2023. A scan's stamp is the middle of its turn, and
-points have seconds from there. Angles of poses turn the world into the sensor: the transpose of
-what most others write.
+point times count from there. Euler angles rotate the world into the sensor: the transpose of the
+usual convention.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     files = scan_files(path / "lidar")
     truth = path / "applanix" / "lidar_poses.csv"
     return Found(
@@ -48,7 +48,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes) -> Scan:
-    """Rows of float32: x, y, z, intensity, laser, seconds from the middle of the turn."""
+    """Parse rows of float32: x, y, z, intensity, laser, seconds from the middle of the turn."""
     rows = float_rows(data, 6)
     return Scan(rows[:, :3], times=rows[:, 5])
 

@@ -1,4 +1,4 @@
-"""A folder of scans, one file each, with poses in a file beside them."""
+"""Folders of scans, one file each, with poses in a file beside them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..clocks import epoch_unit
 from ..recorded import FileSource, Found
 
 NAME = "folder of scans"
-_TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # that poses and lists come in, too
+_TEXT_SUFFIXES = frozenset({".csv", ".txt"})  # also used for poses and lists
 _LISTED = 5
 _DIGITS = re.compile(r"\d+", re.ASCII)
 _PAIR = re.compile(r"(?:.*\D)?(\d+)([._])(\d{1,9})", re.ASCII)
 """Seconds and a fraction, or seconds and nanoseconds."""
-_FRACTION_DIGITS = 3  # of stamps that do not count from 1970
+_FRACTION_DIGITS = 3  # minimum, for stamps that do not count from 1970
 _NANO_DIGITS = 9
 _HINTS = {
     ".e57": "export E57 to .laz or .ply, for example by CloudCompare",
     ".rcp": "export it to .laz",
-    ".active": "`rosbag reindex` makes a .bag of a recording that was not ended",
+    ".active": "`rosbag reindex` makes a .bag of an unfinished recording",
     ".zip": "unpack it",
     ".gz": "unpack it",
     ".zst": "unpack it",
@@ -38,12 +38,12 @@ def find(path: Path, poses: Path | None) -> Found:
     """List the scans of a folder, sorted by name (numbers in names by value: 2 before 10).
 
     Every file with a suffix that :func:`~segloc.io.read_scan` knows is a scan, except hidden files
-    and the poses; .csv and .txt files are scans only where there are none of other formats. The
-    last number in a name is the scan's index, and without one its position. Names that are times
-    (``SEC.NSEC``, ``SEC_NSEC``, milli-, micro- or nanoseconds since 1970) give stamps; scans named
-    by two numbers are counted by position.
+    and the poses; .csv and .txt files only if there are none of other formats. The index of a scan
+    is the last number in its name, or else its position. Names that are times (``SEC.NSEC``,
+    ``SEC_NSEC``, milli-, micro- or nanoseconds since 1970) give stamps; scans named by two numbers
+    are indexed by position.
 
-    ``path`` may also be the file of one scan; ``poses`` is a file that is no scan.
+    ``path`` may also be the file of one scan; ``poses`` is excluded from the scans.
     Raise DatasetError if the folder is missing or has no scans, or two scans have the same number
     or stamp.
     """
@@ -63,14 +63,14 @@ def find(path: Path, poses: Path | None) -> Found:
 
 
 def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]]:
-    """The files of scans in order, and notes on files left out."""
+    """Return the files of scans in order, and notes on skipped files."""
     if folder.is_file() and scan_suffix(folder):
         return [folder], []
     if not folder.exists():
         raise DatasetError(f"{folder}: no such folder or file")
     if not folder.is_dir():
         raise DatasetError(
-            f"{folder}: no recording in a known format{_named([folder])}; {known_formats()}"
+            f"{folder}: not a recording of a known format{_named([folder])}; {known_formats()}"
         )
     try:
         files = [path for path in folder.iterdir() if path.is_file()]
@@ -86,9 +86,9 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
     if others:
         return sorted(others, key=_natural_key), []
     if not scans or inner:
-        below = f"; there are some in {inner}" if inner else f"; {known_formats()}"
+        below = f"; scans found in subfolders: {inner}" if inner else f"; {known_formats()}"
         raise DatasetError(
-            f"{folder}: no scans in a known format among its {len(files)} files"
+            f"{folder}: no scans of a known format among its {len(files)} files"
             f"{_named(files)}{below}"
         )
     numbered, notes = _without_sidecars(scans)
@@ -96,15 +96,15 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
 
 
 def known_formats() -> str:
-    """The formats of recordings, for messages."""
+    """List the formats of recordings, for messages."""
     return (
-        "known are bags (.bag .db3 .mcap), captures (.pcap), dataset folders, and scans "
+        "supported: bags (.bag .db3 .mcap), captures (.pcap), dataset folders, and scans "
         f"({' '.join(scan_suffixes())})"
     )
 
 
 def _named(files: Sequence[Path]) -> str:
-    """Suffixes of files and how to read them, in brackets."""
+    """List suffixes of files and how to read them, in brackets."""
     counts = Counter(path.suffix.lower() or "no suffix" for path in files)
     if not counts:
         return ""
@@ -114,7 +114,7 @@ def _named(files: Sequence[Path]) -> str:
 
 
 def _inner(folder: Path) -> str:
-    """Names of folders in it that hold scans."""
+    """List subfolders that hold scans."""
     names = sorted(
         path.name
         for path in folder.iterdir()
@@ -125,7 +125,7 @@ def _inner(folder: Path) -> str:
 
 
 def _without_sidecars(texts: list[Path]) -> tuple[list[Path], list[str]]:
-    """Text files without a number, beside ones with numbers, are tables of something else."""
+    """Drop text files without a number if most others have one: they are tables."""
     numbered = [path for path in texts if _DIGITS.search(_stem(path))]
     if len(numbered) < 2 or len(numbered) <= len(texts) // 2:
         return texts, []
@@ -142,13 +142,13 @@ def _stem(path: Path) -> str:
 
 
 def _natural_key(path: Path) -> tuple[list[tuple[str, int]], str]:
-    """Compares the numbers in names by value; the name itself decides between 1 and 01."""
+    """Sort numbers in names by value; the name itself breaks ties such as 1 and 01."""
     pairs = re.findall(r"(\D*)(\d*)", path.name, flags=re.ASCII)
     return [(text, int(digits or 0)) for text, digits in pairs], path.name
 
 
 def _numbered(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
-    """Indices and stamps of scans by their names; ``paths`` is put in the order of stamps."""
+    """Return indices and stamps of scans by their names; sorts ``paths`` by stamp."""
     stamps = _stamps_of_pairs([_stem(path) for path in paths])
     if stamps is not None:
         order = np.argsort(stamps, kind="stable")
@@ -167,7 +167,7 @@ def _numbered(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
 
 
 def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
-    """Stamps, seconds, from names that all end in seconds and a fraction or nanoseconds."""
+    """Return stamps [s] if all names end in seconds and a fraction or nanoseconds, else None."""
     found = [_PAIR.fullmatch(stem) for stem in stems]
     pairs = [(match[1], match[2], match[3]) for match in found if match is not None]
     if len(pairs) < len(stems) or any(len(whole) > _NANO_DIGITS * 2 for whole, _, _ in pairs):
@@ -180,7 +180,7 @@ def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
     ))  # fmt: skip
     if not epoch and not (decimal and len(lengths) == 1 and min(lengths) >= _FRACTION_DIGITS):
         return None
-    # Digits of one length, or as Python prints a float, are a fraction; others are counted.
+    # Digits of equal length, or as Python prints a float, are a fraction; others are a count.
     printed = all(mark == "." for _, mark, _ in pairs) and max(lengths) < _NANO_DIGITS - 1
     count = _NANO_DIGITS if max(lengths) > 6 else 6 if max(lengths) > 3 else 3
     digits = [part if len(lengths) == 1 or printed else part.zfill(count) for _, _, part in pairs]

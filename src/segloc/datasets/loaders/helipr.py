@@ -30,7 +30,7 @@ POINTS: dict[str, np.dtype[Any]] = {
     "Aeva": np.dtype([*_AEVA, ("intensity", "<f4")]),
     "Aeva, early": np.dtype(_AEVA),
 }  # fmt: skip
-"""The points of each sensor, packed; a field ``t`` is in nanoseconds, ``time`` in seconds."""
+"""Point layout of each sensor, packed; field ``t`` is in nanoseconds, ``time`` in seconds."""
 _LAST_EARLY_AEVA_NS = 1691936557946849179
 INNER = tuple(f"LiDAR/{name}" for name in POINTS)
 
@@ -41,7 +41,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     present = [name for name in POINTS if holds_scans(path / "LiDAR" / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / "LiDAR" / sensor)
@@ -63,7 +63,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes, layout: np.dtype[Any]) -> Scan:
-    """Packed records of one of the sensors."""
+    """Parse packed records of one of the sensors."""
     rows: np.ndarray = rows_of(data, layout)
     points = np.column_stack([rows["x"], rows["y"], rows["z"]])
     names = layout.names or ()

@@ -30,7 +30,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne")
     indices = numbers(files)
     stamps, note = _stamps(path / "times.txt", indices)
@@ -50,7 +50,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def _truths(path: Path) -> tuple[Path, Path]:
-    """SemanticKITTI's poses, then those of the benchmark."""
+    """Return candidate pose files: SemanticKITTI's, then the benchmark's."""
     folder = path.resolve()
     return path / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"
 
@@ -68,7 +68,7 @@ def _stamps(path: Path, indices: Int64) -> tuple[Float64 | None, str]:
 
 
 def camera_track(file: Path, folder: Path, name: str) -> Track | None:
-    """A KITTI file of camera poses as those of the Velodyne; None for a TUM file.
+    """Read a KITTI file of camera poses as poses of the Velodyne; None for a TUM file.
 
     The world is the first Velodyne frame: x forward, z up.
     """
@@ -81,9 +81,9 @@ def camera_track(file: Path, folder: Path, name: str) -> Track | None:
 
 
 def read_calibration(path: Path, key: str) -> Pose:
-    """The rigid transform that a line ``key: 12 numbers`` of a calibration file holds.
+    """Read the rigid transform of a line ``key: 12 numbers`` of a calibration file.
 
-    Raise DatasetError if the file or the line is missing, or it is no rigid transform.
+    Raise DatasetError if the file or the line is missing, or the transform is not rigid.
     """
     values = read_values(path, key)
     if values.shape != (12,):
@@ -95,9 +95,9 @@ def read_calibration(path: Path, key: str) -> Pose:
 
 
 def read_values(path: Path, key: str) -> Float64:
-    """The numbers behind ``key:`` in a calibration file."""
+    """Read the numbers after ``key:`` in a calibration file."""
     if not path.is_file():
-        raise DatasetError(f"{path}: no such file; poses cannot be read without it")
+        raise DatasetError(f"{path}: no such file; it is needed to read the poses")
     for line in read_file(path).decode("utf-8", "replace").splitlines():
         name, _, rest = line.partition(":")
         if name.strip() == key:

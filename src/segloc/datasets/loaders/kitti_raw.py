@@ -22,7 +22,7 @@ from .kitti import read_values
 NAME = "KITTI raw"
 INNER = ("velodyne_points/data", "velodyne_points")
 _EARTH_RADIUS_M = 6378137.0
-_LONGEST_PACKET = 4096
+_MAX_PACKET = 4096  # bytes
 
 
 def recognises(path: Path) -> bool:
@@ -31,7 +31,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne_points" / "data")
     indices = numbers(files)
     times = _read_times(path / "velodyne_points" / "timestamps.txt")
@@ -72,9 +72,9 @@ def _oxts_track(path: Path, *, timed: bool) -> Track | None:
 
 
 def mercator_poses(packets: Float64) -> Float64:
-    """T_world_imu (N, 4, 4) of OXTS packets (N, 6): lat, lon (deg), alt, roll, pitch, yaw.
+    """Return T_world_imu (N, 4, 4) of OXTS packets (N, 6): lat, lon [deg], alt, roll, pitch, yaw.
 
-    x points east, y north, z up; the origin is the first packet's place.
+    x points east, y north, z up; the origin is the first packet's position.
     """
     latitude, longitude = np.radians(packets[:, 0]), np.radians(packets[:, 1])
     scale = np.cos(latitude[0])
@@ -85,7 +85,7 @@ def mercator_poses(packets: Float64) -> Float64:
 
 
 def _read_packet(path: Path) -> list[float]:
-    words = read_file(path)[:_LONGEST_PACKET].decode("ascii", "replace").split()
+    words = read_file(path)[:_MAX_PACKET].decode("ascii", "replace").split()
     try:
         values = [float(word) for word in words[:6]]
     except ValueError as error:
@@ -104,11 +104,11 @@ def _imu_to_velo(path: Path) -> Float64:
                 raise DatasetError(f"{file}: R and T have {len(R)} and {len(t)} numbers")
             T = matrix_poses(np.column_stack([R.reshape(3, 3), t]).reshape(1, 12), str(file))[0]
             return np.asarray(T, dtype=np.float64)
-    raise DatasetError(f"{path}: calib_imu_to_velo.txt is neither in it nor beside it")
+    raise DatasetError(f"{path}: calib_imu_to_velo.txt is missing, in the drive and beside it")
 
 
 def _read_times(path: Path) -> Float64 | None:
-    """Seconds since 1970 of lines like ``2011-09-26 13:02:25.594360375``."""
+    """Read lines like ``2011-09-26 13:02:25.594360375`` as seconds since 1970."""
     if not path.is_file():
         return None
     lines = read_file(path).decode("ascii", "replace").split("\n")

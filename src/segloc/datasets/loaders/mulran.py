@@ -28,7 +28,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     files = scan_files(path / "Ouster")
     truth = path / "global_pose.csv"
     return Found(
@@ -45,7 +45,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes) -> Scan:
-    """Rows of float32: x, y, z, intensity, of an OS1-64, column by column."""
+    """Parse rows of float32 of an OS1-64: x, y, z, intensity, column by column."""
     rows = float_rows(data, 4)
     return returned(rows, column_times(len(rows)))
 

@@ -2,8 +2,8 @@
 
 Format: robots.engin.umich.edu/nclt and its read_vel_sync.py; N. Carlevaris-Bianco et al.,
 "University of Michigan North Campus long-term vision and lidar dataset", IJRR 2016. Points are
-compensated for motion and in the frame of the body, whose z axis points down as the world's does;
-both are turned about x here to point it up.
+motion-compensated, in the body frame. Body and world have z down; both are turned about x here, so
+that z is up.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne_sync")
     truth = _truth(path.resolve())
     return Found(
@@ -46,7 +46,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes) -> Scan:
-    """Records of three uint16 in steps of 5 mm from -100 m, intensity and laser."""
+    """Parse records of three uint16 (5 mm steps from -100 m), intensity and laser."""
     steps = rows_of(data, _POINT)["xyz"].astype(np.float64)  # type: ignore[call-overload]
     points = steps * _STEP_M + _OFFSET_M
     return Scan(points * [1.0, -1.0, -1.0])

@@ -33,7 +33,7 @@ def _holds_clouds(folder: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     folder = next(path / inner for inner in INNER if _holds_clouds(path / inner))
     scans = sorted(
         (int(match[1]) + 1e-9 * int(match[2]), file)
@@ -55,7 +55,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes) -> Scan:
-    """A cloud of an OS1-64, stored column by column."""
+    """Parse a cloud of an OS1-64, stored column by column."""
     scan = parse_pcd(data)
     times = scan.times
     if times is None:

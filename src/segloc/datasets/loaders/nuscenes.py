@@ -1,8 +1,8 @@
-"""nuScenes: the folder that holds ``v1.0-mini`` (or another version), ``samples`` and ``sweeps``.
+"""nuScenes: the folder of ``v1.0-mini`` (or another version), ``samples`` and ``sweeps``.
 
 Format: the schema of nuscenes.org and github.com/nutonomy/nuscenes-devkit; H. Caesar et al.,
-"nuScenes: A multimodal dataset for autonomous driving", CVPR 2020. A recording is a scene, which
-is chosen like a topic: ``--topic scene-0061``.
+"nuScenes: A multimodal dataset for autonomous driving", CVPR 2020. A recording is a scene, chosen
+like a topic: ``--topic scene-0061``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..tracks import clean_track, quaternion_poses
 NAME = "nuScenes"
 INNER: tuple[str, ...] = ()
 _CHANNEL = "LIDAR_TOP"
-_MOST_NAMED = 12
+_MAX_NAMED = 12
 
 Row = dict[str, Any]
 
@@ -50,9 +50,9 @@ def find(path: Path, topic: str | None) -> Found:
     if not scenes:
         raise DatasetError(f"{path}: no scene in its tables")
     named = sorted(scenes)
-    if topic is None and len(named) > _MOST_NAMED:
-        few = ", ".join(named[:_MOST_NAMED])
-        raise DatasetError(f"{path}: {len(named)} scenes: choose one: --topic {few}, ...")
+    if topic is None and len(named) > _MAX_NAMED:
+        few = ", ".join(named[:_MAX_NAMED])
+        raise DatasetError(f"{path}: {len(named)} scenes, choose one: --topic {few}, ...")
     name = choose(path, named, topic)
     folder, scene = scenes[name]
     try:
@@ -62,7 +62,7 @@ def find(path: Path, topic: str | None) -> Found:
     except DatasetError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DatasetError(f"{folder}: tables do not fit together: {error!r}"[:500]) from error
+        raise DatasetError(f"{folder}: inconsistent tables: {error!r}"[:500]) from error
     return Found(
         name=name,
         format=NAME,
@@ -92,7 +92,7 @@ def _table(folder: Path, name: str) -> list[Row]:
 
 
 def _sweeps(folder: Path, scene: Row) -> list[Row]:
-    """The scene's sweeps of the roof LiDAR, in order."""
+    """Return the scene's sweeps of the roof LiDAR, in order."""
     sensors = {row["token"] for row in _table(folder, "sensor") if row["channel"] == _CHANNEL}
     mounts = {
         row["token"]: row

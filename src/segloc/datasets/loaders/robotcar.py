@@ -1,9 +1,9 @@
 """Oxford RobotCar and its radar set: a traversal's folder with ``lms_front``, ``gps``, ``vo``, ...
 
 Format: robotcar-dataset.robots.ox.ac.uk/documentation and the extrinsics of its SDK; W. Maddern et
-al., "1 Year, 1000 km: The Oxford RobotCar Dataset", IJRR 2017. Frames of the car are x forward,
-y right, z down, and the world is north, east, down; both are turned about x here, so that the
-world is north, west, up, and points are in the frame of the car: x forward, y left, z up.
+al., "1 Year, 1000 km: The Oxford RobotCar Dataset", IJRR 2017. The car's frame has x forward,
+y right, z down, and the world is north, east, down. Both are turned about x here: the world is
+north, west, up, and points are in the frame of the car with x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MOUNTS = {
 """T_car_sensor: x, y, z in metres and roll, pitch, yaw in radians."""
 INS_MOUNT = ((-1.7132, 0.1181, 1.1948), (-0.0125, 0.0400, 0.0050))
 INNER = tuple(MOUNTS)
-_POSES = ("gps/rtk.csv", "rtk.csv", "gps/ins.csv", "vo/vo.csv")  # the best first
+_POSES = ("gps/rtk.csv", "rtk.csv", "gps/ins.csv", "vo/vo.csv")  # in order of accuracy
 _UNUSABLE = frozenset({"INS_INACTIVE", "INS_ALIGNING"})
 
 
@@ -51,7 +51,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read what is there besides the scans."""
+    """List the scans and read what describes them."""
     present = [name for name in MOUNTS if holds_scans(path / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / sensor)
@@ -77,7 +77,7 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def parse(data: bytes, sensor: str) -> Scan:
-    """A sweep of a LMS (rows of float64: x, y, reflectance) or a Velodyne's scan (four rows)."""
+    """Parse a sweep of a LMS (rows of float64: x, y, reflectance) or a Velodyne scan (4 rows)."""
     if sensor.startswith("lms"):
         points = np.array(rows_of(data, "<f8", 3), dtype=np.float64)
         points[:, 2] = 0.0
@@ -85,13 +85,13 @@ def parse(data: bytes, sensor: str) -> Scan:
         if len(data) % 16:
             raise DatasetError(f"cut off: {len(data)} bytes are not four rows of float32")
         points = float_rows(data, 1).reshape(4, -1).T[:, :3].astype(np.float64)
-    points = points[(points != 0).any(axis=1)]  # what returned nothing is at the sensor
-    with np.errstate(all="ignore"):  # what is not finite is dropped
+    points = points[(points != 0).any(axis=1)]  # zeros are firings without a return
+    with np.errstate(all="ignore"):  # non-finite points are dropped by Scan
         return Scan(geometry.transform(Z_UP @ mount(*MOUNTS[sensor]), points))
 
 
 def _missing(path: Path, stamps: set[int]) -> str:
-    """How many scans of the list of scans are not there."""
+    """Return a note on listed scans without a file."""
     if not path.is_file():
         return ""
     listed = read_table(path, [0], separator=None)[:, 0]
@@ -100,7 +100,7 @@ def _missing(path: Path, stamps: set[int]) -> str:
 
 
 def _track(path: Path, name: str) -> Track:
-    """The poses of the car in an INS, RTK or visual odometry file."""
+    """Read poses of the car from an INS, RTK or visual odometry file."""
     header = read_file(path).partition(b"\n")[0].decode("ascii", "replace").split(",")
     if header[0].strip() == "source_timestamp":
         return _visual_odometry(path, name)
@@ -108,7 +108,7 @@ def _track(path: Path, name: str) -> Track:
     rows = read_table(path, columns, header=True)
     aligned = _aligned(path)
     if len(aligned) != len(rows):
-        raise DatasetError(f"{path}: not one status for each row")
+        raise DatasetError(f"{path}: rows without an INS status")
     lost = len(rows) - int(aligned.sum())
     if lost == len(rows):
         raise DatasetError(f"{path}: the INS was never aligned")
@@ -139,7 +139,7 @@ def _visual_odometry(path: Path, name: str) -> Track:
     earlier, later = rows[:, :2].min(axis=1), rows[:, :2].max(axis=1)
     broken = np.flatnonzero(earlier[1:] != later[:-1])
     if len(broken):
-        raise DatasetError(f"{path}: row {broken[0] + 2} does not go on where the last one ended")
+        raise DatasetError(f"{path}: row {broken[0] + 2} does not start where the last one ended")
     poses = np.empty((len(rows) + 1, 4, 4))
     poses[0] = np.eye(4)
     for k, step in enumerate(euler_poses(rows[:, 2:5], rows[:, 5:])):
@@ -149,6 +149,6 @@ def _visual_odometry(path: Path, name: str) -> Track:
 
 
 def upright(T_world_source: Float64, T_car_source: Pose) -> Float64:
-    """Poses of the car with z up from those of a pose source with z down."""
+    """Return poses of the car with z up from those of a pose source with z down."""
     poses: Float64 = Z_UP @ T_world_source @ geometry.inverse(T_car_source) @ Z_UP
     return poses

@@ -1,1 +1,1 @@
-"""Packets as sensors send them, in captures; :mod:`..ros` finds them in bags."""
+"""Raw sensor packets in captures; :mod:`..ros` reads them from bags."""

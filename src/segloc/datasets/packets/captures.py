@@ -1,7 +1,7 @@
-"""Captures of network packets in the format of libpcap, and the UDP datagrams in them.
+"""Captures of network packets in libpcap format, and the UDP datagrams in them.
 
 Formats: wiki.wireshark.org/Development/LibpcapFileFormat; link types as tcpdump.org lists them;
-RFC 791 (IP, whose fragments are put together again) and RFC 768 (UDP).
+RFC 791 (IP with fragments) and RFC 768 (UDP).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ORDERS = {
     b"\x4d\x3c\xb2\xa1": ("<", 1e-9),
     b"\xa1\xb2\x3c\x4d": (">", 1e-9),
 }
-"""Byte order and unit of time by a file's first bytes."""
+"""Byte order and unit of time by the magic number."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _HEADER = 24
 _LINKS = {0: 4, 1: 14, 12: 0, 14: 0, 101: 0, 108: 4, 113: 16, 276: 20}
@@ -29,11 +29,11 @@ _LINKS = {0: 4, 1: 14, 12: 0, 14: 0, 101: 0, 108: 4, 113: 16, 276: 20}
 _ETHERNET = 1
 _VLAN = (b"\x81\x00", b"\x88\xa8")
 _UDP = 17
-_MOST_PENDING = 64  # datagrams of which fragments are missing
+_MAX_PENDING = 64  # incomplete datagrams kept
 
 
 class Record(NamedTuple):
-    """A packet as it was captured: when, seconds, and where its bytes are in the file."""
+    """Captured packet: stamp [s], and offset and size in the file."""
 
     stamp: float
     start: int
@@ -43,39 +43,39 @@ class Record(NamedTuple):
 class Datagram(NamedTuple):
     """A UDP datagram."""
 
-    stamp: float  # when its first part was captured, seconds
-    first: int  # place of its first record in the file
-    stop: int  # place behind its last record
-    port: int  # its destination
-    pieces: list[tuple[int, int]]  # start and size of the parts of its content
+    stamp: float  # of its first fragment [s]
+    first: int  # offset of its first record in the file
+    stop: int  # offset after its last record
+    port: int  # destination
+    pieces: list[tuple[int, int]]  # start and size of each part of the payload
 
     @property
     def size(self) -> int:
         return sum(size for _, size in self.pieces)
 
     def content(self, data: mmap.mmap) -> bytes:
-        """What was sent."""
+        """Return the payload."""
         return b"".join(data[start : start + size] for start, size in self.pieces)
 
 
 @contextmanager
 def mapped(path: Path) -> Iterator[mmap.mmap]:
-    """The bytes of a capture.
+    """Map a capture into memory.
 
-    Raise DatasetError if it is none.
+    Raise DatasetError if the file is not a capture.
     """
     if path.stat().st_size < _HEADER:
-        raise DatasetError(f"{path}: cut off: no header of a capture")
+        raise DatasetError(f"{path}: cut off: shorter than the header of a capture")
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         if data[:4] == _PCAPNG:
-            raise DatasetError(f"{path}: is pcapng: convert it by editcap -F pcap")
+            raise DatasetError(f"{path}: pcapng is not supported: convert it with editcap -F pcap")
         if data[:4] not in _ORDERS:
-            raise DatasetError(f"{path}: not a capture in the format of libpcap")
+            raise DatasetError(f"{path}: not a capture in libpcap format")
         yield data
 
 
 def records(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> Iterator[Record]:
-    """The packets of a capture between two places; one that was cut off is left out."""
+    """Yield the packets between two offsets of a capture, except a truncated one."""
     order, unit = _ORDERS[data[:4]]
     head = struct.Struct(f"{order}IIII")
     end = len(data) if stop is None else min(stop, len(data))
@@ -89,7 +89,7 @@ def records(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> I
 
 
 def datagrams(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> Iterator[Datagram]:
-    """The UDP datagrams over IPv4 between two places of a capture, in the order of their ends."""
+    """Yield the UDP datagrams over IPv4 between two offsets of a capture, by their ends."""
     order, _ = _ORDERS[data[:4]]
     (link,) = struct.unpack_from(f"{order}I", data, 20)
     pending: dict[bytes, _Parts] = {}
@@ -106,12 +106,12 @@ def datagrams(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) ->
                 yield datagram
             continue
         pending[key] = parts
-        if len(pending) > _MOST_PENDING:
+        if len(pending) > _MAX_PENDING:
             del pending[next(iter(pending))]
 
 
 def _ip(data: mmap.mmap, record: Record, link: int) -> tuple[bytes, int, bool, int, int] | None:
-    """Of a UDP packet: its datagram's key, offset in it, whether more follows, start and size."""
+    """Return a UDP packet's datagram key, offset in it, whether more follows, start and size."""
     if link not in _LINKS:
         return None
     ip, end = record.start + _LINKS[link], record.start + record.size
@@ -148,7 +148,7 @@ class _Parts:
         return self._size == self._total
 
     def datagram(self, data: mmap.mmap) -> Datagram | None:
-        """Without its header; None where its parts do not fit each other."""
+        """Return the datagram without its header; None if its fragments do not fit."""
         pieces = [self._parts[offset] for offset in sorted(self._parts)]
         start, size = pieces[0]
         if size < 8:

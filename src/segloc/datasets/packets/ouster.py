@@ -24,12 +24,12 @@ INNER: tuple[str, ...] = ()
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a capture with metadata of an Ouster beside it."""
+    """Return whether the path is a capture with Ouster metadata beside it."""
     return path.suffix == ".pcap" and path.is_file() and bool(_metadata(path))
 
 
 def _metadata(path: Path) -> dict[str, Path]:
-    """Files of metadata by the names of the sensors: CAPTURE.json, or CAPTURE*.json of several."""
+    """Return metadata files by sensor name: CAPTURE.json, or CAPTURE*.json of several."""
     own = path.with_suffix(".json")
     several = sorted(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
     others = [file for file in several if not file.with_suffix(".pcap").exists()]
@@ -38,17 +38,18 @@ def _metadata(path: Path) -> dict[str, Path]:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Find where the turns are; nothing is decoded yet."""
+    """List the turns; nothing is decoded yet."""
     present = _metadata(path)
     name = choose(path, list(present), topic)
     sensor = read_sensor(read_file(present[name]), str(present[name]))
     count = 0
     with mapped(path) as data:
-        packets, felt = [], []
+        packets, accelerations = [], []
         for datagram in datagrams(data):
             count += 1
             if sensor.sent_by_imu(datagram.size, datagram.port):
-                felt.append((datagram.stamp, *sensor.acceleration(datagram.content(data))))
+                row = (datagram.stamp, *sensor.acceleration(datagram.content(data)))
+                accelerations.append(row)
             if sensor.sent(datagram.size, datagram.port):
                 number = sensor.frame_id(datagram.content(data))
                 packets.append((number, datagram.stamp, datagram.first, datagram.stop))
@@ -57,7 +58,7 @@ def find(path: Path, topic: str | None) -> Found:
         to = f" to port {sensor.port}" if sensor.port else ""
         raise DatasetError(
             f"{path}: no turn of an Ouster: {len(packets)} of {count} datagrams have "
-            f"{sensor.packet.itemsize} bytes{to}, as {present[name].name} says"
+            f"{sensor.packet.itemsize} bytes{to}, as set in {present[name].name}"
         )
     return Found(
         name=path.stem,
@@ -69,14 +70,14 @@ def find(path: Path, topic: str | None) -> Found:
         frame=FRAME,
         fields=FIELDS,
         notes=turns.notes,
-        gravity=_gravity(felt, turns),
+        gravity=_gravity(accelerations, turns),
     )
 
 
-def _gravity(felt: list[tuple[float, ...]], turns: Turns) -> GravitySource | None:
-    if not felt:
+def _gravity(accelerations: list[tuple[float, ...]], turns: Turns) -> GravitySource | None:
+    if not accelerations:
         return None
-    rows = np.array(felt)
+    rows = np.array(accelerations)
     return Accelerometer("the sensor's own IMU", turns.stamps, rows[:, 0], rows[:, 1:])
 
 
@@ -86,13 +87,13 @@ class TurnSource:
 
     path: Path
     sensor: Sensor
-    turns: Turns  # places are bytes of the file
+    turns: Turns  # offsets in the file
 
     def __len__(self) -> int:
         return len(self.turns)
 
     def where(self, k: int) -> str:
-        """The turn, as errors name it."""
+        """Return the name of turn k for messages."""
         return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:

@@ -1,8 +1,8 @@
-"""Ouster's packets: from a sensor's metadata and the bytes it sent to points.
+"""Ouster packets: points from a sensor's metadata and its packets.
 
 Format: the Ouster Sensor Documentation, "Lidar Data Packet Format" and "Coordinate Frames and XYZ
-Calculation". Read here, and not by ouster-sdk, since that pins an old version of the package that
-reads bags. Of two returns the first, stronger one is taken.
+Calculation". ouster-sdk is not used: it pins an old version of rosbags. Of dual returns the first,
+stronger one is used.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ PIXEL_BYTES = {
 }
 
 
-_FEWEST_PACKETS = 8  # of a turn; less is left from where the recording begins or ends
+_MIN_PACKETS = 8  # per turn; turns at the ends of a recording have fewer
 
 
 @dataclass(frozen=True)
 class Turns:
-    """Where the packets of each of T turns are."""
+    """Packets of each of T turns."""
 
-    numbers: Int64  # (T,) what their packets are numbered by
-    stamps: Float64  # (T,) when the first packet was recorded
-    firsts: Int64  # (T,) where the first packet is
-    stops: Int64  # (T,) behind the last
+    numbers: Int64  # (T,) frame id of the packets
+    stamps: Float64  # (T,) of the first packet [s]
+    firsts: Int64  # (T,) position of the first packet
+    stops: Int64  # (T,) position after the last
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -66,10 +66,10 @@ class _Turn:
 
 
 def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Turns:
-    """The turns of packets, each a number, a stamp, and where it begins and ends.
+    """Group packets (number, stamp, start, stop) into turns.
 
-    A packet that comes late is counted to the turn before. Turns of which only a few packets are
-    there are left out, such as those in which the recording begins and ends.
+    A late packet belongs to the turn before. Incomplete turns of few packets, such as the first
+    and last of a recording, are dropped.
     """
     turns: list[_Turn] = []
     for number, stamp, first, stop in packets:
@@ -79,7 +79,7 @@ def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Tu
         else:
             turn.stop, turn.packets = max(turn.stop, stop), turn.packets + 1
     wanted = sensor.columns // sensor.packet["columns"].shape[0]
-    kept = [turn for turn in turns if turn.packets >= min(_FEWEST_PACKETS, wanted)]
+    kept = [turn for turn in turns if turn.packets >= min(_MIN_PACKETS, wanted)]
     missing = sum(turn.packets < wanted for turn in kept[1:-1])
     return Turns(
         np.array([turn.number for turn in kept], np.int64),
@@ -92,73 +92,73 @@ def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Tu
 
 FRAME = "os_sensor"
 FIELDS = "range reflectivity time"
-"""Bytes of a pixel by the profile of the packets; the range comes first in all of them."""
+"""Bytes of a pixel by packet profile; the range comes first in all of them."""
 _RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
            "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
 """Type, mask and unit (m) of the range."""
-_MOST_COLUMNS = 1 << 15
+_MAX_COLUMNS = 1 << 15
 IMU_BYTES = 48
-"""Of an IMU's packet: three times of 8 bytes, acceleration (g) and angular velocity (deg/s)."""
+"""Size of an IMU packet: three times of 8 bytes, acceleration [g], angular velocity [deg/s]."""
 _IMU_ACCELERATION = 24
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What its metadata say of a sensor."""
+    """Sensor as described by its metadata."""
 
-    # the layout of a packet: ``columns`` with ``time``, ``number``, ``status`` and
-    # ``pixels``
-    packet: np.dtype[np.void]
-    columns: int  # in a turn
-    port: int  # where the packets are sent to; 0 if unknown
-    id_type: str  # of the number of the turn in a packet, and its place
+    packet: np.dtype[np.void]  # ``columns`` with ``time``, ``number``, ``status`` and ``pixels``
+    columns: int  # per turn
+    port: int  # destination of LiDAR packets; 0 if unknown
+    id_type: str  # type and offset of the frame id in a packet
     id_place: int
-    mask: int  # of ranges, and their unit
-    unit_m: float
+    mask: int  # of ranges
+    unit_m: float  # of ranges
     altitudes: Float64  # (P,) of the beams [rad]
     azimuths: Float64  # (P,) of the beams [rad]
-    T_lidar_beam: Pose  # (4, 4) where beams start: off the sensor's axis
+    T_lidar_beam: Pose  # (4, 4) beam origin, off the sensor's axis
     T_sensor_lidar: Pose  # (4, 4)
     T_sensor_imu: Pose  # (4, 4)
-    imu_port: int  # where the packets of its IMU are sent to; 0 if unknown
-    legacy_imu: bool  # whether these have the layout that can be read
+    imu_port: int  # destination of IMU packets; 0 if unknown
+    legacy_imu: bool  # True if IMU packets have the supported layout
 
     def sent(self, size: int, port: int) -> bool:
-        """Whether a datagram of this size, to this port, can be a packet of the sensor."""
+        """Return whether a datagram's size and port are those of a LiDAR packet."""
         return size == self.packet.itemsize and (self.port in (0, port))
 
     def sent_by_imu(self, size: int, port: int) -> bool:
-        """Whether a datagram of this size, to this port, can be a packet of the sensor's IMU."""
+        """Return whether a datagram's size and port are those of an IMU packet."""
         return self.legacy_imu and size == IMU_BYTES and self.imu_port in (0, port)
 
     def acceleration(self, packet: bytes) -> Float64:
-        """What an IMU's packet says, in g, at rest upwards, in the sensor's frame, (3,)."""
-        felt = np.frombuffer(packet, "<f4", 3, _IMU_ACCELERATION).astype(np.float64)
+        """Return the acceleration (3,) of an IMU packet [g], up at rest, in the sensor's frame."""
+        raw = np.frombuffer(packet, "<f4", 3, _IMU_ACCELERATION).astype(np.float64)
         with np.errstate(over="ignore", invalid="ignore"):
-            turned: Float64 = self.T_sensor_imu[:3, :3] @ felt
+            turned: Float64 = self.T_sensor_imu[:3, :3] @ raw
         return turned
 
     @property
     def most_packets(self) -> int:
-        """Of one scan."""
+        """Maximum number of packets in a scan."""
         return most_points() // (int(self.packet["columns"].shape[0]) * len(self.altitudes))
 
     def frame_id(self, packet: bytes) -> int:
-        """The number of the turn that a packet belongs to; 16 bits of it."""
+        """Return the number of the turn that a packet belongs to (16 bits)."""
         return int(np.frombuffer(packet, self.id_type, 1, self.id_place)[0]) & 0xFFFF
 
     def decode(self, packets: Sequence[bytes], number: int, where: str) -> Scan:
-        """The points of those packets that belong to turn ``number``, in the sensor's frame.
+        """Decode the packets of turn ``number`` into points in the sensor's frame.
 
-        Times are seconds after the first column. Pixels without return are left out.
+        Times are seconds after the first column. Pixels without a return are dropped.
 
-        Raise DatasetError if there is none of its packets; names ``where``.
+        Raise DatasetError if none of the packets belongs to the turn; names ``where``.
         """
         if len(packets) > self.most_packets:
             check_points(most_points() + 1, "or more points in one turn")
         whole = [packet for packet in packets if self.frame_id(packet) == number]
         if not whole:
-            raise DatasetError(f"{where}: its packets are not there any more")
+            raise DatasetError(
+                f"{where}: packets missing: the file has changed since it was opened"
+            )
         columns = np.frombuffer(b"".join(whole), self.packet)["columns"].reshape(-1)
         columns = columns[(columns["status"] & 1 == 1) & (columns["number"] < self.columns)]
         ranges = (columns["pixels"]["range"] & self.mask) * self.unit_m
@@ -169,7 +169,7 @@ class Sensor:
         return returned(points, times)
 
     def _points(self, ranges: Float64, numbers: np.ndarray) -> Float64:
-        """Points (C * P, 3) of ranges (C, P) in columns with these numbers."""
+        """Return points (C * P, 3) of ranges (C, P) in columns with these numbers."""
         B = self.T_lidar_beam[:3, 3]
         reach = ranges - np.hypot(B[0], B[2])
         encoder = 2 * np.pi * (1 - numbers / self.columns)[:, None]
@@ -183,9 +183,9 @@ class Sensor:
 
 
 def read_sensor(text: bytes | str, where: str) -> Sensor:
-    """A sensor from its metadata, in any of the layouts that firmware and drivers write.
+    """Read a sensor from metadata in any layout of firmware and drivers.
 
-    Raise DatasetError if something is missing, or cannot be; names ``where``.
+    Raise DatasetError if a value is missing or invalid; names ``where``.
     """
     try:
         document = json.loads(text)
@@ -193,13 +193,13 @@ def read_sensor(text: bytes | str, where: str) -> Sensor:
     except DatasetError as error:
         raise DatasetError(f"{where}: {error}") from error
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise DatasetError(f"{where}: no metadata of an Ouster: {one_line(error)}") from error
+        raise DatasetError(f"{where}: not Ouster metadata: {one_line(error)}") from error
 
 
 def _flat(document: Any) -> dict[str, Any]:
-    """All entries in one: newer firmware groups them."""
+    """Return all entries at one level: newer firmware groups them."""
     if not isinstance(document, dict):
-        raise DatasetError("no metadata of an Ouster: not a JSON object")
+        raise DatasetError("not Ouster metadata: no JSON object")
     entries = dict(document)
     for group in document.values():
         if isinstance(group, dict):
@@ -215,11 +215,11 @@ def _sensor(entries: dict[str, Any]) -> Sensor:
         raise DatasetError(f"{rows} altitudes and {len(azimuths)} azimuths of beams")
     profile = str(entries.get("udp_profile_lidar", LEGACY))
     if profile not in PIXEL_BYTES:
-        raise DatasetError(f"packets of profile {profile[:40]!r} cannot be read")
+        raise DatasetError(f"unsupported packet profile {profile[:40]!r}")
     columns = _count(entries, "columns_per_frame", str(entries.get("lidar_mode", "")).split("x")[0])
     packed = _count(entries, "columns_per_packet", 16)
     if _count(entries, "pixels_per_column", rows) != rows:
-        raise DatasetError(f"{rows} beams, but {entries['pixels_per_column']} pixels of a column")
+        raise DatasetError(f"{rows} beams, but {entries['pixels_per_column']} pixels per column")
     kind = next(name for name in _RANGES if name in profile)
     dtype, mask, unit = _RANGES[kind]
     wide = str(entries.get("header_type", "")) == "FUSA" or profile.startswith("FUSA")
@@ -243,7 +243,7 @@ def _sensor(entries: dict[str, Any]) -> Sensor:
 
 
 def _layout(rows: int, columns: int, size: int, range_type: str, legacy: bool) -> np.dtype[np.void]:
-    """A packet: a header, columns with a header each, and a footer."""
+    """Return the dtype of a packet: a header, columns with a header each, a footer."""
     before, after, ends = (16, 4, 0) if legacy else (12, 0, 32)
     pixel = np.dtype(
         {"names": ["range"], "formats": [range_type], "offsets": [0], "itemsize": size}
@@ -264,22 +264,22 @@ def _layout(rows: int, columns: int, size: int, range_type: str, legacy: bool) -
 
 def _numbers(entries: dict[str, Any], key: str) -> Float64:
     if key not in entries:
-        raise DatasetError(f"no {key!r} in it")
+        raise DatasetError(f"{key!r} is missing")
     values = np.asarray(entries[key], dtype=np.float64)
     if values.ndim != 1 or not np.isfinite(values).all():
-        raise DatasetError(f"{key!r} is no list of numbers")
+        raise DatasetError(f"{key!r} is not a list of numbers")
     return values
 
 
 def _count(entries: dict[str, Any], key: str, default: int | str) -> int:
     value = int(entries.get(key, default))
-    if not 0 < value < _MOST_COLUMNS:
-        raise DatasetError(f"{key!r} cannot be {value}")
+    if not 0 < value < _MAX_COLUMNS:
+        raise DatasetError(f"{key!r} is {value}, must be 1 to {_MAX_COLUMNS - 1}")
     return value
 
 
 def _matrix(entries: dict[str, Any], key: str) -> Pose:
-    """A transform of 16 numbers, row by row, lengths in millimetres; identity if missing."""
+    """Return a transform of 16 numbers, row by row, lengths in mm; identity if missing."""
     if key not in entries:
         return np.eye(4)
     T = np.array(_numbers(entries, key).reshape(4, 4))
@@ -293,5 +293,5 @@ def _beam_origin(entries: dict[str, Any]) -> Pose:
     T = np.eye(4)
     T[0, 3] = 1e-3 * float(entries.get("lidar_origin_to_beam_origin_mm", 0.0))
     if not math.isfinite(T[0, 3]):
-        raise DatasetError("'lidar_origin_to_beam_origin_mm' is no number")
+        raise DatasetError("'lidar_origin_to_beam_origin_mm' is not a number")
     return T

@@ -1,7 +1,6 @@
-"""Captures of Velodyne packets (``.pcap``), a scan for each turn of the sensor.
+"""Captures of Velodyne packets (``.pcap``), one scan per turn of the sensor.
 
-Format: the packets of 12 blocks in the manuals of the VLP-16 and the HDL-32E. The package
-velodyne-decoder turns them into points.
+Format: packets of 12 blocks, manuals of the VLP-16 and HDL-32E; decoded by velodyne-decoder.
 """
 
 from __future__ import annotations
@@ -28,31 +27,31 @@ _POINTS_A_PACKET = 12 * 32
 _BLOCK = b"\xff\xee"
 _PRODUCTS = {"HDL32E": 0x21, "VLP16": 0x22, "PuckHiRes": 0x24, "VLP32C": 0x28}
 """The byte that ends a packet, by sensor model."""
-_SLOWEST_HDL32E_US = 70.0
+_MAX_HDL32E_US = 70.0
 """Time per step of the azimuth [us]. A block of the HDL-32E holds one firing of 32 lasers, 46 us; a
 block of the VLP-16 holds two of 16 lasers, 111 us."""
-_FEWEST_PACKETS = 8  # of a turn; less is left from where the capture begins or ends
+_MIN_PACKETS = 8  # per turn; turns at the ends of a capture have fewer
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a capture."""
+    """Return whether the path is a capture."""
     return path.suffix == ".pcap" and path.is_file()
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Find where the turns are; nothing is decoded yet.
+    """List the turns; nothing is decoded yet.
 
-    ``topic`` may name the sensor's model, one of HDL32E, VLP16, PuckHiRes and VLP32C, where packets
-    name a wrong one.
+    ``topic`` may override the sensor model named in the packets: HDL32E, VLP16, PuckHiRes or
+    VLP32C.
     """
     if topic is not None and topic not in _PRODUCTS:
-        raise DatasetError(f"{path}: no model {topic!r}; known are {', '.join(_PRODUCTS)}")
+        raise DatasetError(f"{path}: no model {topic!r}; supported: {', '.join(_PRODUCTS)}")
     stamps, places, azimuths = _packets(path)
     turns = turns_of(azimuths)
     if not len(turns):
         raise DatasetError(
-            f"{path}: no turn of a Velodyne among its {len(places)} packets, and no metadata of an "
-            f"Ouster beside it ({path.stem}.json)"
+            f"{path}: no Velodyne turn among its {len(places)} packets, and no Ouster metadata "
+            f"beside it ({path.stem}.json)"
         )
     return Found(
         name=path.stem,
@@ -67,15 +66,15 @@ def find(path: Path, topic: str | None) -> Found:
 
 
 def turns_of(azimuths: Int64) -> Int64:
-    """First packet of each turn and the one behind its last, (T, 2), from packets' azimuths."""
+    """Return the first packet of each turn and the one after its last, (T, 2), from azimuths."""
     wraps = np.flatnonzero(np.diff(azimuths) < 0) + 1
     bounds = np.concatenate([[0], wraps, [len(azimuths)]])
     turns = np.column_stack([bounds[:-1], bounds[1:]])
-    return np.asarray(turns[turns[:, 1] - turns[:, 0] >= _FEWEST_PACKETS], dtype=np.int64)
+    return np.asarray(turns[turns[:, 1] - turns[:, 0] >= _MIN_PACKETS], dtype=np.int64)
 
 
 def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
-    """Stamps, places in the file and first azimuths (hundredths of degrees) of data packets."""
+    """Return stamps, file offsets and first azimuths [0.01 deg] of data packets."""
     stamps, places, azimuths = [], [], []
     with mapped(path) as data:
         for stamp, start, size in records(data):
@@ -92,16 +91,16 @@ class TurnSource:
     """The turns of a capture."""
 
     path: Path
-    stamps: Float64  # (P,) of each packet
-    places: Int64  # (P,) where it is in the file
-    turns: Int64  # (T, 2) first packet of each turn and the one behind its last
-    model: str | None  # the sensor's model; by default the one that the packets name
+    stamps: Float64  # (P,) of each packet [s]
+    places: Int64  # (P,) offset in the file
+    turns: Int64  # (T, 2) first packet of each turn and the one after its last
+    model: str | None  # sensor model; None: as named in the packets
 
     def __len__(self) -> int:
         return len(self.turns)
 
     def where(self, k: int) -> str:
-        """The turn, as errors name it."""
+        """Return the name of turn k for messages."""
         return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:
@@ -118,16 +117,16 @@ class TurnSource:
 
 
 def check_packets(count: int) -> None:
-    """Refuse more packets than a scan's points take."""
+    """Raise DatasetError if the packets hold more points than a scan may have."""
     check_points(_POINTS_A_PACKET * count)
 
 
 def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None = None) -> Scan:
-    """The points of stamped packets, with times after the first of them.
+    """Decode stamped packets into points, with times after the first packet.
 
-    where: what errors name
-    model: the sensor's model. By default the one that the packets name, but for a VLP-16 that names
-      itself HDL-32E, as early firmware does
+    where: name for messages
+    model: sensor model; None: as named in the packets, except that early VLP-16 firmware, which
+      names itself HDL-32E, is recognised
 
     Raise DatasetError if they cannot be decoded; names ``where``. Raise MissingDependency if
     velodyne-decoder is not installed.
@@ -138,10 +137,10 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
         purpose = "reading Velodyne packets"
         raise MissingDependency("velodyne-decoder", "packets", purpose) from error
     check_packets(len(packets))
-    if not packets:  # of none, the decoder ends the process
+    if not packets:  # the decoder aborts the process on none
         raise DatasetError(f"{where}: no packets")
     if any(len(data) != PACKET for _, data in packets):
-        raise DatasetError(f"{where}: cut off: packets of other than {PACKET} bytes")
+        raise DatasetError(f"{where}: cut off: packet size differs from {PACKET} bytes")
     model = model or ("VLP16" if _is_early_vlp16([data for _, data in packets]) else None)
     last = b"" if model is None else bytes([_PRODUCTS[model]])
     try:
@@ -159,9 +158,9 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
 
 
 def _is_early_vlp16(packets: Sequence[bytes]) -> bool:
-    """Whether packets that name an HDL-32E turn too slowly from block to block for one."""
+    """Return whether packets named HDL-32E turn too slowly from block to block to be one."""
     if len(packets) < 2 or any(data[-1] != _PRODUCTS["HDL32E"] for data in packets):
         return False
     clock = np.array([int.from_bytes(data[1200:1204], "little") for data in packets], np.int64)
-    azimuths = {packets[0][at : at + 2] for at in range(2, 1200, 100)}  # two returns share one
-    return bool(np.median(np.diff(clock)) / len(azimuths) > _SLOWEST_HDL32E_US)
+    azimuths = {packets[0][at : at + 2] for at in range(2, 1200, 100)}  # dual returns share one
+    return bool(np.median(np.diff(clock)) / len(azimuths) > _MAX_HDL32E_US)

@@ -1,4 +1,4 @@
-"""Bags opened by the package rosbags, and what can go wrong with them."""
+"""Open bags with rosbags, within limits of memory, and report faults of bags."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 MOST_METADATA_BYTES = 1 << 20
-"""Of a ROS 2 bag's metadata.yaml, and of what it says of a topic's quality of service."""
-MOST_GROWTH = 32
-"""Of a file of a bag that is compressed whole; clouds shrink to a half or a third."""
-_DEEPEST = 64
+"""Limit of a ROS 2 bag's metadata.yaml, and of a topic's quality-of-service profile in it."""
+MAX_GROWTH = 32
+"""Limit of the compression ratio of a bag file; clouds shrink to a half or a third."""
+_MAX_DEPTH = 64
 _INDEX_ENTRY_BYTES = 12  # ROS 1
 
 
@@ -35,19 +35,19 @@ class _Decompressor(Protocol):
 
 
 def unpacked(decompressor: _Decompressor, data: bytes, size: int | None = None) -> bytes:
-    """What compressed data hold, at most ``size`` bytes where that is known.
+    """Decompress data of at most ``size`` bytes, if given.
 
-    Raise DatasetError if it is more than that, or than a message may have.
+    Raise DatasetError if the output is larger than that, or than the limit of a message.
     """
     limit = most_message_bytes()
     if size is not None:
         check_bytes(size, "a chunk", limit)
-    most = limit if size is None else size
-    unpacked = decompressor.decompress(data, most + 1)
-    if len(unpacked) > most:
+    allowed = limit if size is None else size
+    unpacked = decompressor.decompress(data, allowed + 1)
+    if len(unpacked) > allowed:
         if size is None:
             check_bytes(len(unpacked), "a chunk or message", limit)
-        raise DatasetError(f"a chunk holds more than the {size} bytes that it announces")
+        raise DatasetError(f"a chunk holds more than its declared {size} bytes")
     return unpacked
 
 
@@ -59,17 +59,17 @@ def _lz4() -> _Decompressor:
 
 
 def unpack_bz2(data: bytes) -> bytes:
-    """In place of rosbags' own for chunks of ROS 1 bags."""
+    """Replace rosbags' own function for chunks of ROS 1 bags."""
     return unpacked(bz2.BZ2Decompressor(), data)
 
 
 def unpack_lz4(data: bytes) -> bytes:
-    """In place of rosbags' own for chunks of ROS 1 bags."""
+    """Replace rosbags' own function for chunks of ROS 1 bags."""
     return unpacked(_lz4(), data)
 
 
 class _LimitedFile:
-    """A compressed file as it is read, up to a number of bytes."""
+    """Compressed file, readable up to a number of bytes."""
 
     def __init__(self, file: BinaryIO, limit: int) -> None:
         self._file, self._limit, self._count = file, limit, 0
@@ -84,12 +84,12 @@ class _LimitedFile:
         data = self._file.read(min(size, self._limit + 1) if size >= 0 else self._limit + 1)
         self._count += len(data)
         if self._count > self._limit:
-            check_bytes(self._count, "a compressed file with upwards", self._limit)
+            check_bytes(self._count, "a compressed file with at least", self._limit)
         return data
 
 
 class _Zstd:
-    """The module of zstd as rosbags sees it, but for what unpacks."""
+    """The zstd module for rosbags, with limited decompression."""
 
     def __init__(self, module: Any) -> None:
         self._module = module
@@ -101,21 +101,21 @@ class _Zstd:
         return unpacked(self._module.ZstdDecompressor(), data)
 
     def open(self, file: BinaryIO, mode: str) -> _LimitedFile:
-        """A file to unpack: a recording has no most points, so what it may hold is of its size."""
-        limit = max(most_bytes(), MOST_GROWTH * os.fstat(file.fileno()).st_size)
+        """Open a compressed file; the limit grows with its size, as recordings may be long."""
+        limit = max(most_bytes(), MAX_GROWTH * os.fstat(file.fileno()).st_size)
         return _LimitedFile(self._module.open(file, mode), limit)
 
 
 def check_metadata(text: str, what: str) -> None:
-    """Refuse YAML that takes its parser minutes: long, or nested deep."""
+    """Reject YAML that takes minutes to parse: long or deeply nested."""
     check_bytes(len(text), what, MOST_METADATA_BYTES)
     deepest = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
     depth = 0
     for mark in _BRACKETS.findall(text):
         depth += 1 if mark in "[{" else -1
         deepest = max(deepest, depth)
-    if deepest > _DEEPEST:
-        raise DatasetError(f"{what} is nested deeper than {_DEEPEST} levels")
+    if deepest > _MAX_DEPTH:
+        raise DatasetError(f"{what} is nested deeper than {_MAX_DEPTH} levels")
 
 
 def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -128,21 +128,21 @@ def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def _counted(read_index: Callable[..., None]) -> Callable[..., None]:
-    """Records of a ROS 1 bag's index, each read once: chunks may name the same ones."""
+    """Limit the records of a ROS 1 bag's index: chunks may share records."""
 
     def counted(reader: Any, place: int, indexes: dict[int, list[Any]]) -> None:
         begin = reader.bio.tell()
         read_index(reader, place, indexes)
         reader.index_bytes = getattr(reader, "index_bytes", 0) + reader.bio.tell() - begin
         if reader.index_bytes > os.fstat(reader.bio.fileno()).st_size:
-            raise DatasetError("its index is longer than the file: chunks share records of it")
+            raise DatasetError("the index is longer than the file: chunks share records")
         check_points(reader.index_bytes // _INDEX_ENTRY_BYTES, "messages in its index")
 
     return counted
 
 
 def limit_rosbags() -> None:
-    """Put limited functions into the modules of rosbags; it has no setting for them."""
+    """Replace functions of rosbags by limited ones; it has no setting for limits."""
     from rosbags.rosbag1 import Reader
     from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
 
@@ -160,9 +160,9 @@ def limit_rosbags() -> None:
 
 
 def limit_chunks(reader: AnyReader) -> None:
-    """Let an opened ROS 1 bag unpack its chunks within the limit.
+    """Make an opened ROS 1 bag decompress its chunks within the limit.
 
-    Raise DatasetError if two of its connections have one number: each would have the messages of
+    Raise DatasetError if two of its connections share an id: each would yield the messages of
     both.
     """
     from rosbags.rosbag1.reader import Compression, decompressors
@@ -173,40 +173,40 @@ def limit_chunks(reader: AnyReader) -> None:
     }
     for bag in () if reader.is2 else reader.readers:
         if len({item.id for item in bag.connections}) < len(bag.connections):
-            raise DatasetError("two connections of the bag have one number")
+            raise DatasetError("two connections of the bag share an id")
         for place, chunk in bag.chunks.items():
             if chunk.decompressor in ours:
                 bag.chunks[place] = chunk._replace(decompressor=ours[chunk.decompressor])
 
 
 _MCAP = b"\x89MCAP0\r\n"
-_BEGINNINGS = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": _MCAP}
-_RECOVER = "`mcap recover IN.mcap -o OUT.mcap` writes what is whole"
+_MAGIC = {".bag": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": _MCAP}
+_RECOVER = "`mcap recover IN.mcap -o OUT.mcap` saves the intact part"
 _DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     "velodyne_msgs/msg/VelodyneScan": (
         "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n"
     ),
 }
-"""Messages of packages beside ROS itself, for bags without definitions."""
+"""Messages outside ROS's own packages, for bags without definitions."""
 
 
 @contextmanager
 def opened(paths: tuple[Path, ...]) -> Iterator[AnyReader]:
-    """A reader of the bag; whatever goes wrong with it is a fault of the bag.
+    """Open a bag; any error while it is open is reported as a fault of the bag.
 
-    Raise DatasetError if it is cut off, damaged or of a kind that cannot be read. Raise
-    MissingDependency if the package rosbags is not installed.
+    Raise DatasetError if it is truncated, damaged or unsupported. Raise MissingDependency if
+    rosbags is not installed.
     """
     with faults_of(paths[0]):
-        _check_beginnings(paths)
+        _check_magic(paths)
     with faults_of(paths[0]), _reader(paths) as reader:
         limit_chunks(reader)
         yield reader
 
 
-def _check_beginnings(paths: tuple[Path, ...]) -> None:
-    """Name what is no bag in other words than those of a parser that lost its way."""
+def _check_magic(paths: tuple[Path, ...]) -> None:
+    """Reject files that are no bags with a clear message, before the parser fails on them."""
     for path in paths:
         if not path.is_file():
             with (path / "metadata.yaml").open(encoding="utf-8", errors="replace") as text:
@@ -215,30 +215,30 @@ def _check_beginnings(paths: tuple[Path, ...]) -> None:
         with path.open("rb") as file:
             head = file.read(16)
         if not head:
-            raise DatasetError(f"{path}: is empty")
-        if not head.startswith(_BEGINNINGS[path.suffix]):
-            raise DatasetError(f"{path}: no {path.suffix[1:]} file, by its first bytes")
+            raise DatasetError(f"{path}: empty file")
+        if not head.startswith(_MAGIC[path.suffix]):
+            raise DatasetError(f"{path}: not a {path.suffix[1:]} file, by its first bytes")
         if path.suffix == ".mcap" and not _ends_whole(path):
-            raise DatasetError(f"{path}: cut off, its end is missing: {_RECOVER}")
+            raise DatasetError(f"{path}: cut off, no footer: {_RECOVER}")
 
 
 def _ends_whole(path: Path) -> bool:
-    """Whether an MCAP file ends as it should: a recorder that was killed writes no end."""
+    """Return whether an MCAP file has its footer, which a killed recorder does not write."""
     with path.open("rb") as file:
         file.seek(-min(path.stat().st_size, len(_MCAP)), os.SEEK_END)
         return file.read() == _MCAP
 
 
 def remedy(path: Path, error: Exception) -> str:
-    """What mends a bag that its reader refuses; "" where that isn't known."""
+    """Return the command that repairs a bag after a reader's error; "" if none is known."""
     text = str(error).lower()
     suffixes = {path.suffix} if path.is_file() else {file.suffix for file in path.glob("*.*")}
     if ".mcap" in suffixes and ("index" in text or "magic" in text or "eof" in text):
         return f": {_RECOVER}"
     if ".bag" in suffixes and ("index" in text or "connection" in text):
-        return ": `rosbag reindex` mends it"
+        return ": `rosbag reindex` repairs it"
     if ".db3" in suffixes and "malformed" in text:
-        return ": `sqlite3 IN.db3 .recover | sqlite3 OUT.db3` saves what is whole"
+        return ": `sqlite3 IN.db3 .recover | sqlite3 OUT.db3` saves the intact part"
     if ".db3" in suffixes and ("metadata" in text or "table" in text):
         return ": `ros2 bag reindex` writes the metadata"
     return ""
@@ -251,7 +251,7 @@ def _reader(paths: tuple[Path, ...]) -> AnyReader:
     except ImportError as error:
         raise MissingDependency("rosbags", "ros", "reading bags") from error
     limit_rosbags()
-    # Older ROS 2 bags do not hold the definitions of their messages.
+    # Older ROS 2 bags lack the definitions of their messages.
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in _DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
@@ -260,7 +260,7 @@ def _reader(paths: tuple[Path, ...]) -> AnyReader:
 
 @contextmanager
 def faults_of(path: Path) -> Iterator[None]:
-    """Turn any error into one of the file's: damaged bytes show in any way."""
+    """Report any error as a fault of the file: damaged bytes can raise anything."""
     with fields.faults_of(path):
         try:
             yield
@@ -268,13 +268,13 @@ def faults_of(path: Path) -> Iterator[None]:
             raise
         except Exception as error:
             raise DatasetError(
-                f"cannot be read as a bag: {one_line(error)}{remedy(path, error)}"
+                f"unreadable as a bag: {one_line(error)}{remedy(path, error)}"
             ) from error
 
 
 @contextmanager
 def optional(what: str, remarks: list[str]) -> Iterator[None]:
-    """Turn any error into a remark: the scans are readable without it."""
+    """Turn any error into a remark: the scans are readable without this part."""
     try:
         yield
     except MemoryError:
@@ -285,9 +285,9 @@ def optional(what: str, remarks: list[str]) -> Iterator[None]:
 
 
 class BagFile:
-    """A bag that is opened when it is first read, and by each process for itself.
+    """Bag that each process opens on first read.
 
-    paths: what has to be opened
+    paths: files to open
     """
 
     def __init__(self, paths: tuple[Path, ...]) -> None:
@@ -296,11 +296,11 @@ class BagFile:
 
     @property
     def path(self) -> Path:
-        """The first of its files, which messages name."""
+        """The first file, for messages."""
         return self._paths[0]
 
     def reader(self) -> AnyReader:
-        """Open, until this object is let go."""
+        """Return the open reader; it is closed with this object."""
         if self._reader is None:
             reader = _reader(self._paths)
             reader.open()
@@ -314,12 +314,12 @@ class BagFile:
 
 
 def seconds(time: Any) -> float:
-    """A builtin_interfaces/Time, rounded as the stamps of headers are."""
+    """Convert a builtin_interfaces/Time to seconds, rounded as stamps of headers are."""
     return float((time.sec * 10**9 + time.nanosec) * 1e-9)
 
 
 def fullest_topics(reader: AnyReader, msgtype: str) -> list[str]:
-    """The topics of a type that have messages, those with the most first."""
+    """List the topics of a type that have messages, by falling count."""
     counts: dict[str, int] = {}
     for item in reader.connections:
         if item.msgtype == msgtype and item.msgcount:
@@ -328,13 +328,13 @@ def fullest_topics(reader: AnyReader, msgtype: str) -> list[str]:
 
 
 def connections_of(reader: AnyReader, topic: str) -> list[Any]:
-    """The connections of a topic; none select all messages in rosbags, so check for emptiness."""
+    """List a topic's connections. Check for an empty list: rosbags takes it as all messages."""
     return [item for item in reader.connections if item.topic == topic]
 
 
 def messages_of(
     reader: AnyReader, topic: str, start: int | None = None, stop: int | None = None
 ) -> Iterator[tuple[Any, int]]:
-    """Deserialised messages of a topic with their times of recording [ns]."""
+    """Yield the deserialised messages of a topic with their log times [ns]."""
     for item, logged, data in reader.messages(connections_of(reader, topic), start, stop):
         yield reader.deserialize(data, item.msgtype), logged

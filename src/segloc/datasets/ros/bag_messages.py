@@ -1,4 +1,4 @@
-"""The messages of a bag that are scans: which types, and from one of them to a scan."""
+"""Convert messages of bags to scans."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Sweep(Protocol):
 
 
 def sweep_scan(sweep: Sweep) -> Scan:
-    """The points of a sweep, and their times after its stamp where it has them.
+    """Convert a sweep to points, with times after its stamp if it has them.
 
-    Ranges outside the sensor's limits are no returns, as the message's definition has it.
+    Ranges outside the sensor's limits are no returns, by the message's definition.
 
     Raise DatasetError if its angles are not finite.
     """
@@ -55,12 +55,12 @@ _POINT = 19  # bytes
 
 
 def livox_scan(data: bytes, *, cdr: bool) -> Scan:
-    """The points of a message and their times after its stamp; firings without return left out.
+    """Parse a Livox CustomMsg into points, with times after its stamp; drops missing returns.
 
-    data: the message as a bag holds it
-    cdr: whether that is ROS 2's CDR, behind four bytes that name the byte order; else ROS 1's
+    data: serialised message
+    cdr: True for ROS 2's CDR, after four bytes that name the byte order; False for ROS 1
 
-    Raise DatasetError if the message has fewer bytes than its sizes promise.
+    Raise DatasetError if the message is shorter than its declared size.
     """
     order = "<" if not cdr or data[1:2] == b"\1" else ">"
     body, header, step = (data[4:], 8, _POINT + 1) if cdr else (data, 12, _POINT)
@@ -71,7 +71,7 @@ def livox_scan(data: bytes, *, cdr: bool) -> Scan:
             place += -place % 8  # timebase is aligned
         (count,) = struct.unpack_from(f"{order}I", body, place + 16)
     except struct.error as error:
-        raise DatasetError(f"cut off: {len(data)} bytes are no message of Livox") from error
+        raise DatasetError(f"cut off: {len(data)} bytes are not a Livox message") from error
     check_points(count)
     first = place + 20
     rows = body[first:] + b"\0" * (step - _POINT)  # the last point is not padded
@@ -99,7 +99,7 @@ _SWEEP = "sensor_msgs/msg/LaserScan"
 KINDS: tuple[tuple[str, ...], ...] = (
     (_CLOUD,), _LIVOX, (_PACKETS,), bag_ouster.KINDS, (_SWEEP,),
 )  # fmt: skip
-"""Types of messages; those of an earlier group are taken where nothing is chosen."""
+"""Message types; earlier groups take precedence if no topic is chosen."""
 _FIELDS = {
     _PACKETS: "x y z intensity ring time",
     _SWEEP: "x y intensity time",
@@ -108,10 +108,9 @@ _FIELDS = {
 
 
 def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str) -> Scan:
-    """A message as a scan, its times in seconds after ``stamp``; a PointCloud2's as they are.
+    """Convert a message to a scan, times in seconds after ``stamp``; a PointCloud2's as stored.
 
-    Raise DatasetError if what is in it makes no scan; other errors come from bytes that are no such
-    message.
+    Raise DatasetError for invalid content; bytes of another type may raise other errors.
     """
     if kind in _LIVOX:
         return livox_scan(data, cdr=reader.is2)
@@ -122,7 +121,7 @@ def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str)
 
 
 def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:
-    """Whether the type of a topic's messages defines the unit of points' times, if they have any.
+    """Return whether a topic's message type defines the unit of its point times.
 
     fields: as :func:`fields_of` lists them
     """
@@ -131,7 +130,7 @@ def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:
 
 
 def fields_of(reader: AnyReader, data: bytes, kind: str) -> str:
-    """What a message has of each point."""
+    """Return the fields of a message's points."""
     if kind in _FIELDS:
         return _FIELDS[kind]
     message: Any = reader.deserialize(data, kind)
@@ -139,7 +138,7 @@ def fields_of(reader: AnyReader, data: bytes, kind: str) -> str:
 
 
 def _unpacked(message: Any, stamp: float, where: str) -> Scan:
-    """The points of a velodyne_msgs/VelodyneScan, whose stamp is its first packet's or its last."""
+    """Decode a velodyne_msgs/VelodyneScan; its stamp is its first packet's or its last."""
     packets = [(seconds(packet.stamp), bytes(packet.data)) for packet in message.packets]
     scan = decode(packets, where)
     if scan.times is not None and packets:

@@ -1,8 +1,8 @@
-"""Ouster's packets in bags: a message each, and the sensor's metadata on a topic of its own.
+"""Ouster packets in bags: one message each, with the sensor's metadata on another topic.
 
 Messages: ``PacketMsg`` of the packages ouster_ros, ouster_sensor_msgs and ouster_msgs, one array
-of bytes without a header, so that times are those of recording; metadata as ``std_msgs/String``.
-They are read from the bytes: they need no definition, which older bags lack.
+of bytes without a header, so stamps are log times; metadata as ``std_msgs/String``. The bytes are
+parsed here, as older bags lack the definitions.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ _STRING = "std_msgs/msg/String"
 
 
 def on(reader: AnyReader, topic: str) -> bool:
-    """Whether a topic has Ouster's packets."""
+    """Return whether a topic has Ouster packets."""
     return any(item.topic == topic and item.msgtype in KINDS for item in reader.connections)
 
 
-def inertial(item: Any) -> bool:
-    """Whether a topic has those of Ouster's packets that have no points."""
+def is_imu(item: Any) -> bool:
+    """Return whether a connection has Ouster IMU packets."""
     return item.msgtype in KINDS and "imu" in item.topic
 
 
 def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
-    """Find where the turns are; reads the bag through once.
+    """List the turns; reads the bag through once.
 
-    Raise DatasetError if there are no metadata or no whole turn.
+    Raise DatasetError if there is no metadata or no complete turn.
     """
     sensor = _metadata(reader, topic)
     turns = gather(
@@ -55,7 +55,7 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
     )  # fmt: skip
     if not len(turns):
         raise DatasetError(
-            f"{topic}: no turn of an Ouster: too few packets of {sensor.packet.itemsize} bytes"
+            f"{topic}: no Ouster turn: too few packets of {sensor.packet.itemsize} bytes"
         )
     place = find_place(reader, paths, FRAME, turns.stamps, turns.firsts)
     return Found(
@@ -76,12 +76,12 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
 
 
 def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> GravitySource | None:
-    """From the packets of the sensor's own IMU, if there are any."""
+    """Return gravity from the sensor's own IMU packets, if any."""
     beside = topic.rpartition("/")[0]
     wanted = [
         item
         for item in reader.connections
-        if inertial(item) and item.topic.rpartition("/")[0] == beside
+        if is_imu(item) and item.topic.rpartition("/")[0] == beside
     ]
     stamps, rows = [], []
     for _, time, data in reader.messages(wanted) if wanted else ():
@@ -96,26 +96,26 @@ def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> Gra
 
 
 def _metadata(reader: AnyReader, topic: str) -> Sensor:
-    """The sensor's, from the topic ``metadata`` beside that of the packets."""
+    """Read the sensor from the topic ``metadata`` beside that of the packets."""
     name = f"{topic.rpartition('/')[0]}/metadata"
     wanted = [c for c in reader.connections if c.topic == name and c.msgtype == _STRING]
     for _, _, data in reader.messages(wanted) if wanted else ():
         return read_sensor(_array(data, cdr=reader.is2).rstrip(b"\0"), name)
-    raise DatasetError(f"{topic}: packets cannot be read without metadata on {name} ({_STRING})")
+    raise DatasetError(f"{topic}: no metadata on {name} ({_STRING}): record it with the packets")
 
 
 def _packets(
     reader: AnyReader, topic: str, sensor: Sensor, first: int | None = None, stop: int | None = None
 ) -> Iterator[tuple[int, bytes]]:
-    """Packets of the sensor's size, with the times of recording."""
+    """Yield packets of the sensor's size with their log times."""
     for _, time, data in reader.messages(connections_of(reader, topic), first, stop):
         packet = _array(data, cdr=reader.is2)
-        if len(packet) >= sensor.packet.itemsize:  # drivers send their whole buffer
+        if len(packet) >= sensor.packet.itemsize:  # drivers send the whole buffer
             yield time, packet[: sensor.packet.itemsize]
 
 
 def _array(data: bytes, *, cdr: bool) -> bytes:
-    """The only field of a message: its size, then its bytes."""
+    """Return the only field of a message: an array with its size before it."""
     order = "<" if not cdr or data[1:2] == b"\1" else ">"
     start = 8 if cdr else 4
     if len(data) < start:
@@ -127,9 +127,9 @@ def _array(data: bytes, *, cdr: bool) -> bytes:
 
 
 class BagTurns:
-    """The turns of one topic.
+    """Turns of one topic.
 
-    turns: places are times of recording, nanoseconds
+    turns: positions are log times [ns]
     """
 
     def __init__(self, paths: tuple[Path, ...], topic: str, sensor: Sensor, turns: Turns) -> None:
@@ -139,7 +139,7 @@ class BagTurns:
         return len(self._turns)
 
     def where(self, k: int) -> str:
-        """The turn, as errors name it."""
+        """Return the name of turn k for messages."""
         return f"{self._file.path}: turn {k} of {self._topic}"
 
     def read(self, k: int) -> Scan:

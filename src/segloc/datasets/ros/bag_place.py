@@ -1,4 +1,4 @@
-"""All that a bag says of how its sensor stands: poses, its mounting, gravity."""
+"""Poses, mount and gravity of a bag's sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import DatasetError
 from ...motion import interpolated
 from ...types import Float64, Int64, Pose
-from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, GravitySource, weighed
+from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, GravitySource, gravity_of
 from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
 from .bag_file import BagFile, faults_of, fullest_topics, messages_of, optional, seconds
 from .bag_tf import (
@@ -36,10 +36,10 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 def _find_tracks(
     reader: AnyReader, edges: Edges, frame: str, remarks: list[str]
 ) -> tuple[Track | None, Track | None]:
-    """The track of a frame, or else of a body on which its mounting is unknown.
+    """Return the track of a frame, or else of a body on which its mount is unknown.
 
-    Takes the odometry with the most messages that has the frame mounted on its body, and else the
-    chain from the frame up to the root of tf, if anything moves on it.
+    Prefer the odometry with the most messages on whose body the frame is mounted; else the chain
+    from the frame to the root of tf, if it moves.
     """
     base: Track | None = None
     for topic in fullest_topics(reader, _ODOMETRY):
@@ -60,7 +60,7 @@ def _find_tracks(
 
 
 def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
-    """Stamps (K,), poses (K, 4, 4), NaN for those that are no pose, and the frame they are of."""
+    """Return stamps (K,), poses (K, 4, 4), NaN where invalid, and the frame of the body."""
     stamps, rows, bodies = [], [], set()
     for message, logged in messages_of(reader, topic):
         stamps.append(seconds(message.header.stamp) or logged * 1e-9)
@@ -77,38 +77,38 @@ def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str
 
 
 def _tf_track(edges: Edges, frame: str) -> Track | None:
-    way = chain(edges, frame) or []
-    moving = [edge for edge in way if not edge.static and len(edge.stamps) > 1]
+    edges_up = chain(edges, frame) or []
+    moving = [edge for edge in edges_up if not edge.static and len(edge.stamps) > 1]
     if not moving:
         return None
     finest = max(moving, key=lambda edge: len(edge.stamps))
     stamps, _ = finest.poses()
     T = np.tile(np.eye(4), (len(stamps), 1, 1))
-    for edge in way:
+    for edge in edges_up:
         times, poses = edge.poses()
         if edge.static or len(times) == 1:
             T = poses[-1] @ T
         else:
             T = interpolated(times, poses, stamps, LONGEST_GAP_S) @ T
-    return clean_track(f"tf, {way[-1].parent} to {frame}", stamps, T)
+    return clean_track(f"tf, {edges_up[-1].parent} to {frame}", stamps, T)
 
 
 _IMU = "sensor_msgs/msg/Imu"
-_LATEST_S = 0.6  # by which one topic may be recorded later than another
-_MOST_MESSAGES = 8000  # around a scan: an IMU at 4 kHz
-_BELIED_DEG = 15.0  # between an orientation and accelerations
-_FARTHEST_DEG = 40.0  # off the vertical that is expected, where the IMU's place is not known
+_MAX_DELAY_S = 0.6  # between topics in recording
+_MAX_MESSAGES = 8000  # around a scan: an IMU at 4 kHz
+_MAX_DISAGREEMENT_DEG = 15.0  # between an orientation and accelerations
+_MAX_TILT_DEG = 40.0  # off the expected vertical, if the IMU's mount is unknown
 
 
 def _find_imu(reader: AnyReader, edges: Edges, frame: str) -> tuple[str, Pose | None, str] | None:
-    """Topic, T_sensor_imu and a note: of an IMU whose mounting is known, else of the fullest."""
+    """Return topic, T_sensor_imu and a note: of an IMU with known mount, else of the fullest."""
     others: list[tuple[str, None, str]] = []
     for topic in fullest_topics(reader, _IMU):
         imu = _frame_of(reader, topic)
         T = mount(edges, frame, imu)
         if T is not None:
             return topic, T, ""
-        note = f"{topic}: nothing says how {imu!r} is turned against {frame!r}: taken as aligned"
+        note = f"{topic}: no transform {frame} -> {imu or 'IMU'} in the bag: assumed aligned"
         others.append((topic, None, note))
     return others[0] if others else None
 
@@ -124,34 +124,34 @@ class BagGravity:
 
     file: BagFile
     name: str  # of the topic
-    T_sensor_imu: Pose | None  # (4, 4) None where nothing says how one is turned in the other
+    T_sensor_imu: Pose | None  # (4, 4); None if unknown
     note: str
     stamps: Float64  # (N,) of the scans [s]
-    logged: Int64  # (N,) when they were recorded [ns]
-    expected: Float64  # (3,) up in the sensor's frame while its robot stands level
+    logged: Int64  # (N,) log times of the scans [ns]
+    expected: Float64  # (3,) up in the sensor's frame while the robot stands level
 
     def at(self, k: int) -> Gravity | None:
-        """In the frame of the points of the scan at position k."""
+        """Return gravity in the frame of the points of scan k."""
         with faults_of(self.file.path):
             accelerations, orientation = self._around(k)
-        felt = weighed(accelerations)
-        found = _oriented(orientation, accelerations) or felt
+        measured = gravity_of(accelerations)
+        found = _oriented(orientation, accelerations) or measured
         if found is None:
             return None
         T = self.T_sensor_imu
         if T is not None:
             return Gravity(T[:3, :3] @ found.direction, found.error_deg)
-        near = -found.direction @ self.expected > math.cos(math.radians(_FARTHEST_DEG))
+        near = -found.direction @ self.expected > math.cos(math.radians(_MAX_TILT_DEG))
         return found if near else None
 
     def _around(self, k: int) -> tuple[Float64, Any]:
-        """Accelerations (K, 3), and the message nearest to the scan in time."""
+        """Return accelerations (K, 3), and the message closest to the scan in time."""
         reader = self.file.reader()
         stamp, logged = float(self.stamps[k]), int(self.logged[k])
-        margin = round((HALF_WINDOW_S + _LATEST_S) * 1e9)
+        margin = round((HALF_WINDOW_S + _MAX_DELAY_S) * 1e9)
         rows, nearest, nearest_s = [], None, HALF_WINDOW_S
         around = messages_of(reader, self.name, logged - margin, logged + margin)
-        for message, time in islice(around, _MOST_MESSAGES):
+        for message, time in islice(around, _MAX_MESSAGES):
             off = abs((seconds(message.header.stamp) or time * 1e-9) - stamp)
             if off > HALF_WINDOW_S:
                 continue
@@ -163,7 +163,7 @@ class BagGravity:
 
 
 def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
-    """Gravity from an orientation that is known and fits what is felt."""
+    """Return gravity from a known orientation that agrees with the accelerations."""
     if message is None:
         return None
     q, spread = message.orientation, np.asarray(message.orientation_covariance)
@@ -177,26 +177,26 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
         return None
     R = quaternion_poses(np.zeros((1, 3)), values[None], "orientation")[0, :3, :3]
     down: Float64 = -R[2]
-    fits = -down @ mean / length > math.cos(math.radians(_BELIED_DEG))
+    fits = -down @ mean / length > math.cos(math.radians(_MAX_DISAGREEMENT_DEG))
     return Gravity(down, ORIENTATION_ERROR_DEG) if fits else None
 
 
 class Place(NamedTuple):
-    """How a sensor stands."""
+    """Poses, mount and gravity of a sensor."""
 
     track: Track | None  # of the sensor
-    base: Track | None  # else of a body on which the mounting of the sensor is unknown
-    remarks: list[str]  # on poses and gravity that cannot be used as they are
-    T_base_sensor: Pose | None  # (4, 4) by tf, on a frame that is named as a robot's body
+    base: Track | None  # else of a body on which the sensor's mount is unknown
+    remarks: list[str]  # on unusable poses and gravity
+    T_base_sensor: Pose | None  # (4, 4) by tf, on a frame with a usual name of a robot's body
     gravity: GravitySource | None
 
 
 def find_place(
     reader: AnyReader, paths: tuple[Path, ...], frame: str, stamps: Float64, logged: Int64
 ) -> Place:
-    """Read poses and tf; gravity is read around each scan when it is asked for.
+    """Read poses and tf; gravity is read around each scan on access.
 
-    stamps, logged: (N,) of the scans: seconds, and nanoseconds of recording
+    stamps, logged: (N,) of the scans: stamps [s] and log times [ns]
     """
     edges, lost = read_tf(reader)
     remarks: list[str] = []

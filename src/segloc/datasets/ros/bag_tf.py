@@ -1,4 +1,4 @@
-"""What tf says in a bag: where frames are in each other."""
+"""The tf tree of a bag."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 _TF = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 _BASES = frozenset({"base_link", "base_footprint", "base_frame", "base"})
-"""Names of the frame of a robot's body, whose z axis is up (REP 103 and 105)."""
-_DEEPEST = 64
+"""Usual names of the frame of a robot's body, whose z axis is up (REP 103 and 105)."""
+_MAX_DEPTH = 64
 
 
 @dataclass
 class Edge:
-    """What tf says of a frame in its parent's."""
+    """Transforms of a frame in its parent's."""
 
     parent: str
     stamps: list[float] = field(default_factory=list)
@@ -33,7 +33,7 @@ class Edge:
     static: bool = False
 
     def poses(self) -> tuple[Float64, Float64]:
-        """Stamps (K,), rising, and T_parent_child (K, 4, 4)."""
+        """Return stamps (K,), rising, and T_parent_child (K, 4, 4)."""
         stamps, rows = np.array(self.stamps), np.array(self.rows)
         order = np.argsort(stamps, kind="stable")
         order = order[rising(stamps[order])]
@@ -42,18 +42,18 @@ class Edge:
 
 
 Edges = dict[str, Edge]
-"""Of each frame, by its name."""
+"""Edges by child frame."""
 
 
 def frame_name(frame: str) -> str:
-    """A frame's name without the slash that tf once had."""
+    """Return a frame's name without the leading slash of old tf."""
     return frame.lstrip("/")
 
 
 def read_tf(reader: AnyReader) -> tuple[Edges, list[str]]:
-    """The transforms of each frame, and remarks on what is left out.
+    """Read the transforms of each frame, and remarks on dropped ones.
 
-    Transforms that are no rigid motion are left out, and so is a second parent of a frame.
+    Transforms that are not rigid are dropped, as is a second parent of a frame.
     """
     edges: Edges = {}
     lost: Counter[tuple[str, str]] = Counter()
@@ -67,12 +67,12 @@ def read_tf(reader: AnyReader) -> tuple[Edges, list[str]]:
                 for entry in message.transforms:
                     _add(edges, entry, topic, lost, parents)
     remarks += [
-        f"{topic}: transforms of {child!r} left out: {count}, no unit quaternion or not finite"
+        f"{topic}: {count} transforms of {child!r} dropped: no unit quaternion or not finite"
         for (topic, child), count in lost.items()
     ]
     remarks += [
-        f"tf: {child!r} has two parents, {edges[child].parent!r} and {parent!r}: the second left "
-        "out"
+        f"tf: {child!r} has two parents, {edges[child].parent!r} and {parent!r}: the second is "
+        "ignored"
         for child, parent in parents.items()
     ]
     return edges, remarks
@@ -85,7 +85,7 @@ def _add(
     lost: Counter[tuple[str, str]],
     parents: dict[str, str],
 ) -> None:
-    """Add one transform, or count it among those that cannot be used."""
+    """Add one transform, or count it as invalid."""
     child, parent = frame_name(entry.child_frame_id), frame_name(entry.header.frame_id)
     values = row(entry.transform.translation, entry.transform.rotation)
     if not is_pose(values):
@@ -101,7 +101,7 @@ def _add(
 
 
 def is_pose(values: list[float]) -> bool:
-    """Whether a row of position and quaternion is finite, of unit length and within reason."""
+    """Return whether a row of position and quaternion is a finite, plausible pose."""
     numbers = np.array([values])
     with np.errstate(all="ignore"):
         near = np.isfinite(numbers).all() and np.abs(numbers[0, :3]).max() <= MOST_METRES
@@ -109,25 +109,25 @@ def is_pose(values: list[float]) -> bool:
 
 
 def row(xyz: Any, q: Any) -> list[float]:
-    """Position and quaternion as one row."""
+    """Return position and quaternion as one row."""
     return [xyz.x, xyz.y, xyz.z, q.x, q.y, q.z, q.w]
 
 
 def chain(edges: Edges, frame: str, until: str | None = None) -> list[Edge] | None:
-    """The edges from a frame up to another, or to the root; None where there is no such way."""
+    """Return the edges from a frame up to another, or to the root; None if not connected."""
     found: list[Edge] = []
     while frame != until:
-        if frame not in edges or len(found) > _DEEPEST:
-            return found if until is None and len(found) <= _DEEPEST else None
+        if frame not in edges or len(found) > _MAX_DEPTH:
+            return found if until is None and len(found) <= _MAX_DEPTH else None
         found.append(edges[frame])
         frame = edges[frame].parent
     return found
 
 
 def mount(edges: Edges, body: str, frame: str) -> Pose | None:
-    """T_body_frame, where tf says that it is fixed; None where it does not.
+    """Return T_body_frame if it is fixed in tf, else None.
 
-    The way leads over the frame that both hang on.
+    Both are chained to their common ancestor.
     """
     above = {body: 0} | {edge.parent: k for k, edge in enumerate(chain(edges, body) or [], 1)}
     upwards = [frame, *(edge.parent for edge in chain(edges, frame) or [])]
@@ -142,17 +142,17 @@ def mount(edges: Edges, body: str, frame: str) -> Pose | None:
 
 
 def mount_on_base(edges: Edges, frame: str) -> Pose | None:
-    """T_base_frame of the body that a frame hangs on; None where tf has no fixed one."""
+    """Return T_base_frame on the body that carries a frame; None if tf has no fixed one."""
     for edge in chain(edges, frame) or []:
         if edge.parent.rpartition("/")[2] in _BASES:
             return mount(edges, edge.parent, frame)
     return None
 
 
-def _fixed(way: list[Edge]) -> Pose | None:
-    """The product of a way's transforms if none of them moves."""
+def _fixed(edges: list[Edge]) -> Pose | None:
+    """Return the product of a chain's transforms if all are constant."""
     T = np.eye(4)
-    for edge in way:
+    for edge in edges:
         _, poses = edge.poses()
         if not edge.static and np.ptp(poses, axis=0).max() > 1e-6:
             return None

@@ -1,7 +1,7 @@
 """ROS 1 bags, ROS 2 bags (SQLite, MCAP) and MCAP files, read without ROS.
 
-Formats: wiki.ros.org/Bags/Format/2.0, github.com/ros2/rosbag2, mcap.dev/spec. They are opened by
-the package rosbags; here is which messages are scans, and how one of them is found again.
+Formats: wiki.ros.org/Bags/Format/2.0, github.com/ros2/rosbag2, mcap.dev/spec. rosbags opens them;
+this module selects the messages that are scans and reads them by position.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .bag_place import find_place
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_HEAD = 512  # bytes that hold a header
+_HEAD = 512  # bytes, enough for a header
 
 
 @dataclass(frozen=True)
@@ -38,31 +38,30 @@ class Headers:
     """std_msgs/Header of N messages."""
 
     stamps: Float64  # (N,) seconds
-    # (N,) when the message was recorded, nanoseconds; rising, perhaps with repetitions
-    logged: Int64
-    ranks: Int64  # (N,) how many messages before it were recorded at the same time
+    logged: Int64  # (N,) log times [ns], rising, perhaps with repetitions
+    ranks: Int64  # (N,) number of earlier messages with the same log time
     frames: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.stamps)
 
     def with_stamps(self, stamps: Float64) -> Headers:
-        """The same messages at other times."""
+        """Return the same messages at other stamps."""
         return replace(self, stamps=stamps)
 
     def part(self, mask: NDArray[np.bool_]) -> Headers:
-        """Some of the messages."""
+        """Return the messages of a mask."""
         frames = tuple(name for name, kept in zip(self.frames, mask, strict=True) if kept)
         return Headers(self.stamps[mask], self.logged[mask], self.ranks[mask], frames)
 
 
 def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Headers:
-    """The headers of all messages of a topic, in the order of recording.
+    """Read the headers of all messages of a topic, in order of recording.
 
-    SQLite and ROS 1 bags without compression give the first bytes of a message alone; others are
+    Of SQLite and uncompressed ROS 1 bags only the first bytes of each message are read; others are
     read through once, one message in memory at a time.
 
-    Raise DatasetError if a message is too short to have a header.
+    Raise DatasetError if a message is too short for a header.
     """
     files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
     heads: Iterable[tuple[int, bytes]]
@@ -76,12 +75,12 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
         )
     parse = _parse_cdr if reader.is2 else _parse_ros1
     logged, stamps, frames = [], [], []
-    names: dict[str, str] = {}  # one string for all messages, not one each
+    names: dict[str, str] = {}  # interned: one string for all messages
     for k, (time, head) in enumerate(heads):
         try:
             stamp, frame = parse(head)
         except (struct.error, IndexError) as error:
-            raise DatasetError(f"message {k} of {topic} has no header: cut off?") from error
+            raise DatasetError(f"message {k} of {topic} has no header: truncated?") from error
         logged.append(time)
         stamps.append(stamp * 1e-9)
         frames.append(names.setdefault(frame, frame))
@@ -94,7 +93,7 @@ def _when(row: tuple[int, bytes]) -> int:
 
 
 def _compressed(paths: tuple[Path, ...]) -> bool:
-    """Whether the messages of a ROS 2 bag are compressed one by one, as its metadata say."""
+    """Return whether a ROS 2 bag's messages are compressed singly, by its metadata."""
     files = [path / "metadata.yaml" for path in paths if path.is_dir()]
     return any("zstd" in file.read_text("utf-8", "replace") for file in files)
 
@@ -110,7 +109,7 @@ def _sqlite_heads(path: Path, topic: str) -> Iterator[tuple[int, bytes]]:
 
 
 def _ros1_places(reader: AnyReader, topic: str) -> Iterator[tuple[int, bytes]] | None:
-    """First bytes of messages by a ROS 1 bag's own index; None where chunks are compressed."""
+    """Yield first bytes of messages by a ROS 1 bag's index; None if chunks are compressed."""
     from rosbags.rosbag1.reader import decompressors
 
     entries = [
@@ -127,7 +126,7 @@ def _ros1_places(reader: AnyReader, topic: str) -> Iterator[tuple[int, bytes]] |
 
 
 def _ros1_head(file: BinaryIO, place: int) -> bytes:
-    """The first bytes of the message whose record is at a place, or behind one of a connection."""
+    """Return the first bytes of the message at an offset, or after a connection record there."""
     file.seek(place)
     while True:
         (length,) = struct.unpack("<I", file.read(4))
@@ -141,13 +140,13 @@ def _ros1_head(file: BinaryIO, place: int) -> bytes:
 
 
 def _parse_ros1(head: bytes) -> tuple[int, str]:
-    """Stamp in nanoseconds and frame: uint32 number, two uint32 of time, a string."""
+    """Parse stamp [ns] and frame: uint32 number, two uint32 of time, a string."""
     _, whole, nanoseconds, length = struct.unpack_from("<IIII", head)
     return whole * 10**9 + nanoseconds, _text(head, 16, length)
 
 
 def _parse_cdr(head: bytes) -> tuple[int, str]:
-    """The same in CDR, behind four bytes that name the byte order: int32, uint32, a string."""
+    """Parse the same in CDR, after four bytes that name the byte order: int32, uint32, a string."""
     order = "<" if head[1] & 1 else ">"
     whole, nanoseconds, length = struct.unpack_from(f"{order}iII", head, 4)
     return whole * 10**9 + nanoseconds, _text(head, 16, length)
@@ -160,7 +159,7 @@ def _text(head: bytes, start: int, length: int) -> str:
 
 
 def _ranks(times: Int64) -> Int64:
-    """For each of sorted times, how many equal ones are before it."""
+    """Return for each of sorted times the number of equal ones before it."""
     first = np.searchsorted(times, times, side="left")
     return np.asarray(np.arange(len(times)) - first, dtype=np.int64)
 
@@ -173,12 +172,12 @@ _STORAGE = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag, SQLite", ".mcap": "MCAP"}
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a bag, or a folder that holds one."""
+    """Return whether the path is a bag, or a folder with one."""
     return bool(bag_paths(path))
 
 
 def bag_paths(path: Path) -> tuple[Path, ...]:
-    """What has to be opened: a file, a ROS 2 bag's folder, or all ROS 1 bags of a folder."""
+    """Return the paths to open: a file, a ROS 2 bag's folder, or all ROS 1 bags of a folder."""
     if path.is_file():
         return (path,) if path.suffix in _SUFFIXES or _is_packed(path) else ()
     if not path.is_dir():
@@ -192,7 +191,7 @@ def bag_paths(path: Path) -> tuple[Path, ...]:
 
 
 def _is_packed(path: Path) -> bool:
-    """Whether a file is one of a ROS 2 bag that is compressed whole."""
+    """Return whether a file belongs to a ROS 2 bag with file compression."""
     return path.name.endswith(tuple(f"{suffix}{_PACKED}" for suffix in _SUFFIXES))
 
 
@@ -202,16 +201,16 @@ def _stored(path: Path) -> list[Path]:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """Read the headers of the clouds, and the poses.
+    """Read the headers of the scans, and the poses.
 
-    Raise DatasetError if the bag or its clouds cannot be read, or there are several topics and none
+    Raise DatasetError if the bag or its scans cannot be read, or there are several topics and none
     is chosen.
     """
     paths = bag_paths(path)
     if packed := [file.name for file in paths if file.suffix == _PACKED]:
         raise DatasetError(
-            f"{path}: {packed[0]} is compressed, and metadata.yaml is missing: unpack it by "
-            "`zstd -d`, or write the metadata by `ros2 bag reindex`"
+            f"{path}: {packed[0]} is compressed, and metadata.yaml is missing: unpack it with "
+            "`zstd -d`, or write the metadata with `ros2 bag reindex`"
         )
     name = path.resolve().stem if path.is_file() else path.resolve().name
     with opened(paths) as reader:
@@ -220,7 +219,7 @@ def find(path: Path, topic: str | None) -> Found:
             return bag_ouster.find(reader, paths, chosen, name, _kind(paths[0]))
         headers = read_headers(reader, paths, chosen)
         if not len(headers):
-            raise DatasetError(f"{path}: no message on {chosen}")
+            raise DatasetError(f"{path}: no messages on {chosen}")
         headers, notes = _in_order(headers, str(path), chosen)
         place = find_place(reader, paths, headers.frames[0], headers.stamps, headers.logged)
         fields = _fields(reader, chosen)
@@ -250,28 +249,28 @@ def _kind(path: Path) -> str:
 
 
 def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
-    """The topic with the scans: the one asked for, or the only one of the best kind."""
+    """Return the chosen topic, or the only one of the preferred message types."""
     groups = [_counts(reader, kinds) for kinds in KINDS]
     counts = {name: count for group in groups for name, count in group.items()}
     if not counts:
         others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
-        raise DatasetError(f"{path}: no topic of scans, only {', '.join(others) or 'nothing'}")
+        raise DatasetError(f"{path}: no topic of scans; topics: {', '.join(others) or 'none'}")
     if topic is not None:
         if topic not in counts:
-            raise DatasetError(f"{path}: {topic!r} is no topic of scans: {_listed(counts)}")
+            raise DatasetError(f"{path}: no scans on {topic!r}; available: {_listed(counts)}")
         return topic
     filled = [{name: count for name, count in group.items() if count} for group in groups]
     best = next(group for group in [*filled, *groups] if group)
     if len(best) > 1:
-        raise DatasetError(f"{path}: several topics, choose one by --topic: {_listed(best)}")
+        raise DatasetError(f"{path}: several topics, choose one with --topic: {_listed(best)}")
     return next(iter(best))
 
 
 def _counts(reader: AnyReader, kinds: tuple[str, ...]) -> dict[str, int]:
-    """How many messages there are on each topic of some types."""
+    """Count the messages on each topic of some types."""
     counts: dict[str, int] = {}
     for item in reader.connections:
-        if item.msgtype in kinds and not bag_ouster.inertial(item):
+        if item.msgtype in kinds and not bag_ouster.is_imu(item):
             counts[item.topic] = counts.get(item.topic, 0) + item.msgcount
     return counts
 
@@ -281,7 +280,7 @@ def _listed(topics: dict[str, int]) -> str:
 
 
 def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[str]]:
-    """The messages whose stamps rise, all of one frame."""
+    """Return the messages with rising stamps, all of one frame."""
     frames = sorted(set(headers.frames))
     if len(frames) > 1:
         second = next(k for k, name in enumerate(headers.frames) if name != headers.frames[0])
@@ -290,13 +289,13 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
             f"before it in {headers.frames[0]!r}: two sensors on one topic?"
         )
     if not headers.stamps.any():
-        note = f"{topic} has no stamps: times are those of recording"
+        note = f"{topic} has no stamps: using log times"
         return headers.with_stamps(np.asarray(headers.logged * 1e-9, np.float64)), [note]
     later = rising(headers.stamps)
     lost = len(later) - int(later.sum())
     if not lost:
         return headers, []
-    return headers.part(later), [f"{lost} of {len(later)} messages left out: stamps do not rise"]
+    return headers.part(later), [f"{lost} of {len(later)} messages dropped: stamps do not rise"]
 
 
 def _fields(reader: AnyReader, topic: str) -> str:
@@ -306,7 +305,7 @@ def _fields(reader: AnyReader, topic: str) -> str:
 
 
 class BagSource:
-    """The clouds of one topic, found again by the time at which they were recorded.
+    """Scans of one topic, read again by their log time.
 
     headers: of the messages that are scans
     """
@@ -318,11 +317,11 @@ class BagSource:
         return len(self._headers)
 
     def where(self, k: int) -> str:
-        """The message, as errors name it."""
+        """Return the name of message k for errors."""
         return f"{self._file.path}: message {k} of {self._topic}"
 
     def read(self, k: int) -> Scan:
-        """The cloud at position k."""
+        """Read scan k."""
         stamp = float(self._headers.stamps[k])
         with faults_of(self._file.path):
             data, kind = self._message(k)
@@ -339,4 +338,4 @@ class BagSource:
         for position, (item, _, data) in enumerate(messages):
             if position == rank:
                 return data, item.msgtype
-        raise DatasetError(f"{self.where(k)}: is not there any more")
+        raise DatasetError(f"{self.where(k)}: missing: the bag has changed since it was opened")

@@ -1,8 +1,7 @@
-"""ROS's sensor_msgs/PointCloud2: from the fields and bytes of a message to a scan.
+"""Convert ROS's sensor_msgs/PointCloud2 to scans.
 
-Layout: docs.ros.org, sensor_msgs/PointCloud2 and PointField. Names of time fields are those of the
-drivers of Ouster (t, ns), Velodyne (time, s), Hesai and RoboSense (timestamp, s since 1970) and
-Livox (offset_time, ns).
+Layout: docs.ros.org, sensor_msgs/PointCloud2 and PointField. Time fields of drivers: Ouster (t,
+ns), Velodyne (time, s), Hesai and RoboSense (timestamp, s since 1970) and Livox (offset_time, ns).
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from ...types import Float64, Scan
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
-"""Names of fields with times of points, the first that is there counts."""
-_EPOCH_S = 1e8  # no turn takes so long: such times are seconds since 1970
+"""Names of fields with point times, in order of precedence."""
+_EPOCH_S = 1e8  # larger times are seconds since 1970
 
 
 class Field(Protocol):
@@ -45,20 +44,19 @@ class Cloud(Protocol):
 
 
 def to_scan(cloud: Cloud, stamp: float) -> Scan:
-    """The points of a message and their times after ``stamp``; firings without return left out.
+    """Convert a message to points, with times after ``stamp``; drops missing returns.
 
     ``stamp`` [s] is the message's own.
-    Raise DatasetError if x, y or z is missing, or the message has fewer bytes than its sizes
-    promise.
+    Raise DatasetError if x, y or z is missing, or the message is shorter than its declared size.
     """
     columns = _columns(cloud)
     try:
-        with np.errstate(all="ignore"):  # what float32 cannot hold becomes inf, which is dropped
+        with np.errstate(all="ignore"):  # beyond float32: inf, which is dropped
             named = [axis if axis in columns else axis.upper() for axis in "xyz"]
             xyz = np.column_stack([columns[name].astype(np.float32) for name in named])
     except KeyError as error:
         raise DatasetError(
-            f"no field {str(error).lower()} among {', '.join(columns) or 'none'}"
+            f"no field {str(error).lower()}; fields: {', '.join(columns) or 'none'}"
         ) from error
     times = _seconds(columns, stamp)
     hit = (xyz != 0).any(axis=1)
@@ -66,14 +64,14 @@ def to_scan(cloud: Cloud, stamp: float) -> Scan:
 
 
 def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
-    """Each field of one value, (N,); row by row, since rows may be padded."""
+    """Return each single-valued field, (N,); row by row, since rows may be padded."""
     rows, width = int(cloud.height), int(cloud.width)
     check_points(rows * width)
     step, stride = int(cloud.point_step), int(cloud.row_step)
     data = np.frombuffer(cloud.data, dtype=np.uint8)
     packed = rows * width * step
     if stride in (0, packed) or rows == 1 or (packed == len(data) and stride != width * step):
-        stride = width * step  # some writers leave it out, or give the size of the whole cloud
+        stride = width * step  # some writers omit it, or write the size of the whole cloud
     needed = (rows - 1) * stride + width * step if rows and width else 0
     if needed > len(data) or stride < width * step:
         raise DatasetError(

@@ -257,7 +257,7 @@ def ivy(rng: np.random.Generator, width: float, depth: float, height: float) -> 
 
 
 def _plant(site: Site, at: Float64, tallest: float) -> bool:
-    """A tree or bush at random on a spot, if it is free."""
+    """Add a random tree or bush at a spot, if it is free."""
     rng = site.rng
     if tallest > 3 and rng.random() < 0.5:
         return site.stand("tree", town_tree(rng, 2.5, tallest), at, float(rng.uniform(0, 6)), 0.8)

@@ -1,4 +1,4 @@
-"""The surroundings in which descriptors are compared, as datasets of labelled segments."""
+"""Domains in which descriptors are compared, as datasets of labelled segments."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ _PLACES: dict[str, dict[str, tuple[str, ...]]] = {
         "corner": ("158:170", "988:1003"),
     },
 }
-"""Key frames of KITTI 00 by place, one range a pass."""
+"""Key frames of KITTI 00 by place, one range per pass."""
 
 
 @dataclass(frozen=True)
 class DomainSize:
-    """How much of a simulated domain is driven.
+    """Size of a simulated domain.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class _Job:
     session: int
 
     def drive(self) -> Sequence:
-        """The session, whose scans are cast when they are read."""
+        """Return the session; its scans are cast on access."""
         if self.split == "train":
             return _suite(self.domain).training(1, self.scale, seed=self.seed)[self.session]
         return list(_suite(self.domain).sessions(self.scale, seed=self.seed).values())[self.session]
@@ -108,7 +108,7 @@ def _jobs(folder: Path, domain: str, split: str, size: DomainSize, seed: int) ->
 
 
 def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
-    """Where a simulated domain's segments are kept: another folder for other settings."""
+    """Return the folder of a domain's segments, named by its settings."""
     first = seed + _suite(domain).first_seed
     key = [domain, split, size.worlds(split), size.scale, first, _EXTRACT.model_dump(mode="json")]
     return root / f"{domain}-{split}-{_hash(key)}"
@@ -125,7 +125,7 @@ def simulated(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Make the segments of a simulated domain, unless they are there.
+    """Make the segments of a simulated domain, unless they exist.
 
     What was made before an interruption is kept. The result depends neither on the number of
     workers nor on interruptions.
@@ -166,7 +166,7 @@ def simulated(
 
 
 def _simulate(job: _Job) -> Session:
-    """Write the shard of one session, in whatever process."""
+    """Write the shard of one session in any process."""
     name = f"{job.domain}-{job.split}-{job.seed}"
     session = Session(name, f"session-{job.session}", _suite(job.domain).sensor)
     segmentation = SegmentationConfig()
@@ -186,7 +186,7 @@ def _simulate(job: _Job) -> Session:
 
 
 def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] = print) -> Path:
-    """Make the segments of KITTI odometry 00, unless they are there; no place is in both splits.
+    """Make the segments of KITTI odometry 00, unless they exist; splits share no place.
 
     The passes over a place are aligned with each other, since the positions of the reference agree
     to about a metre only.
@@ -253,7 +253,7 @@ all datasets of the small scale take four minutes of one core, those of the full
 
 
 class Domains:
-    """The datasets of a workspace, made where they are missing, each read once.
+    """The datasets of a workspace, made if missing, each read once.
 
     Parameters
     ----------
@@ -269,11 +269,11 @@ class Domains:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All that there are: the simulated ones, and KITTI 00 where the workspace has data."""
+        """Return all domains: the simulated ones, and KITTI 00 if available."""
         return SIMULATED if self._workspace.data is None else (*SIMULATED, RECORDED)
 
     def folder(self, domain: str, split: str) -> Path:
-        """Where the segments of a domain lie; see :func:`simulated` and :func:`recorded`."""
+        """Return the folder of a domain's segments; see :func:`simulated` and :func:`recorded`."""
         if (domain, split) not in self._folders:
             self._folders[domain, split] = self._made(domain, split)
         return self._folders[domain, split]
@@ -296,7 +296,7 @@ class Domains:
             )
 
     def dataset(self, domain: str, split: str) -> SegmentDataset:
-        """The segments of a domain."""
+        """Return the segments of a domain."""
         folder = self.folder(domain, split)
         if folder not in self._read:
             self._read[folder] = load_dataset(folder)

@@ -1,4 +1,4 @@
-"""How much each method loses where it was trained on other surroundings (Table I of the paper)."""
+"""Loss of each method when trained on another domain (Table I of the paper)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ and trained on others of its places."""
 
 
 def run(workspace: Workspace, plan: Plan | None = None) -> Study:
-    """Areas under the ROC for every method, training set and test set.
+    """Compute areas under the ROC for every method, training set and test set.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
 
 def _sources(test: str) -> tuple[str, ...]:
-    """The training sets for a test set, its own first."""
+    """Return the training sets for a test set, its own first."""
     return (test, *(name for name in SIMULATED if name != test), SHIPPED)
 
 

@@ -1,4 +1,4 @@
-"""Short trainings of every trainable method, side by side, none of them twice."""
+"""Short trainings of every trainable method in parallel, each done once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _OWN: dict[str, dict[str, Any]] = {"segmap": {"learning_rate": 1e-3, "hard_share
 
 @dataclass(frozen=True)
 class Effort:
-    """How long methods are trained for a comparison.
+    """Duration of trainings for a comparison.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Effort:
     forest_segments: int
 
     def config(self, method: str, seed: int = 0) -> TrainConfig | ForestConfig:
-        """The settings of a method's training.
+        """Return the settings of a method's training.
 
-        A forest that prunes learns from candidates that look alike, and says nothing sensible of
+        A forest that prunes learns from candidates that look alike, and is meaningless for
         pairs that do not. Here it is to judge any pair, so it sees 1000 candidates of small maps.
         """
         if method in FORESTS:
@@ -76,7 +76,7 @@ minutes (full): methods then also differ in how fast they learn."""
 
 @dataclass(frozen=True)
 class Training:
-    """One method that is trained on one dataset.
+    """Training of one method on one dataset.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Training:
 
     @property
     def out(self) -> Path:
-        """The weights: another file for another method, configuration or dataset."""
+        """Return the file of the weights, named by method, configuration and dataset."""
         digest = hashlib.sha256((self.data / INDEX).read_bytes())
         key = [__version__, self.method, self.data.name, self.config.model_dump(mode="json")]
         digest.update(json.dumps(key, sort_keys=True).encode())
@@ -104,12 +104,12 @@ class Training:
 
     @property
     def finished(self) -> bool:
-        """Whether its weights are there."""
+        """Return whether the weights exist."""
         return self.out.exists()
 
 
 def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> TrainConfig:
-    """The settings of a short training, on one thread.
+    """Return the settings of a short training on one thread.
 
     They are those of :class:`TrainConfig`, but warm-up, mining and validation fit the few steps;
     of SegMap the learning rate and the choice of objects, too.
@@ -135,7 +135,7 @@ def trained(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
-    """The weights of every training, in order; those that are there are not trained again.
+    """Return the weights of every training, in order; existing ones are reused.
 
     A training that was cut off goes on where it was. Each takes one thread, so nothing depends on
     who does it: so many processes, or an executor.
@@ -159,7 +159,7 @@ def _order(training: Training) -> int:
 
 
 def _train(training: Training) -> None:
-    """One training, in whatever process."""
+    """Run one training in any process."""
     training.root.mkdir(parents=True, exist_ok=True)
     dataset, config = load_dataset(training.data), training.config
     card = {"data": training.data.name, "licence": "for evaluation only"}
@@ -177,7 +177,7 @@ def _silent(_: str) -> None:
 
 
 def load_method(method: str, weights: Path | None, threads: int = 1) -> Descriptor:
-    """A method with weights of its own, or with the shipped ones.
+    """Return a method with given weights, or with the shipped ones.
 
     Parameters
     ----------
@@ -201,5 +201,5 @@ def load_method(method: str, weights: Path | None, threads: int = 1) -> Descript
 
 
 def source_of(method: str) -> str:
-    """The training that a method's weights come from: those with and without quality share it."""
+    """Return the training of a method's weights; variants with and without quality share it."""
     return method.removesuffix(QUALITY)

@@ -1,4 +1,4 @@
-"""How many queries each method localizes, and how many of them falsely (Table II of the paper)."""
+"""Queries localized by each method, correctly and falsely (Table II of the paper)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from . import published
 from .workspace import Workspace
 
 EVERY_M = {"small": 40.0, "full": 10.0}
-"""Metres of travel from query to query, by scale; "paper" has as many queries as the paper."""
+"""Distance between queries by scale [m]; "paper" has as many queries as the paper."""
 _NEGATIVE_SEED = 10_000
 
 
 @dataclass(frozen=True)
 class SuiteScenario:
-    """A simulated test set; the negative is a world of another seed, built by the same rules."""
+    """A simulated test set; the negative is a world of another seed by the same rules."""
 
     test: TestSet
     scale: str
@@ -65,7 +65,7 @@ class SuiteScenario:
         return OpenedScenario(sessions["map"], self.negative(), query_sets)
 
     def negative(self) -> Recording:
-        """What the map of another world is made of."""
+        """Return the drive of the other world's map."""
         alone = replace(self.test, tests=self.test.tests[:1], length_m=self._session_length())
         return alone.sessions(self.scale, seed=self.seed + _NEGATIVE_SEED)["map"]
 
@@ -74,14 +74,14 @@ class SuiteScenario:
 
 
 def _published(recording: Recording, every_m: float) -> QuerySet:
-    """As many queries of a session as the paper has."""
+    """Select as many queries of a session as the paper has."""
     truth = _truth(recording)
     positions = geometry.stations(geometry.travelled(truth), every_m, 0.5 * every_m)
     return QuerySet(recording, positions, truth[positions])
 
 
 def _spread(recording: Recording, every_m: float) -> QuerySet:
-    """The queries of a session, each with a stretch behind it."""
+    """Return the queries of a session, each with a stretch before it."""
     truth = _truth(recording)
     if isinstance(recording, Swathes):  # they lie 30 m apart: each is a query by itself
         positions = np.arange(len(recording), dtype=np.int64)
@@ -137,7 +137,7 @@ class KittiScenario:
 
 
 def scenarios(workspace: Workspace) -> Sequence[Scenario]:
-    """The test sets of the suite, and KITTI where it is at hand."""
+    """Return the test sets of the suite, and KITTI if available."""
     scale, seed = workspace.scale, workspace.seed
     chosen: list[Scenario] = [SuiteScenario(test, scale, seed) for test in workspace.sets]
     if workspace.data is not None:

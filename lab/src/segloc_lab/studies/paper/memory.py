@@ -1,4 +1,4 @@
-"""What a step of training takes of memory and time, DSM against ESM."""
+"""Memory and time of a training step, DSM against ESM."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .workspace import Workspace
 NAME = "memory"
 BATCH = 64
 PUBLISHED_LESS = 70
-"""Per cent that DSM takes less of a GPU's memory than ESM, as published."""
+"""GPU memory of DSM less than that of ESM, as published [%]."""
 
 _DESCRIBED = 300
 _DISTINCT = 300
@@ -80,14 +80,14 @@ def _published() -> Table:
 
 
 def inference_mb(layers: Sequence[Layer], segments: int = 300, threads: int = 1) -> float:
-    """Peak of describing prepared segments, beyond the segments themselves and the weights."""
+    """Return the peak memory of describing segments, beyond segments and weights."""
     prepared = np.tile(prepared_segments(_DISTINCT), (-(-segments // _DISTINCT), 1, 1))[:segments]
     engine = build(layers, random_tensors(layers))
     return rise_mb(lambda: engine.describe(prepared, threads))
 
 
 def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
-    """Activations that PyTorch keeps for the backward pass of a batch, each storage once."""
+    """Return the activations that PyTorch keeps for the backward pass, each storage once."""
     torch, model, points = _training(layers, batch)
     sizes: dict[int, int] = {}
     kept: list[Any] = []
@@ -105,13 +105,13 @@ def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
 
 
 def training_peak_mb(layers: Sequence[Layer], batch: int = 100) -> float:
-    """Peak of one forward and backward pass, by the memory of the process."""
+    """Return the peak memory of the process in one forward and backward pass."""
     _, model, points = _training(layers, batch)
     return rise_mb(lambda: model(points).square().sum().backward())
 
 
 def step_ms(layers: Sequence[Layer], batch: int = 100, repeats: int = 3) -> float:
-    """Milliseconds of one forward and backward pass on one thread, the median."""
+    """Return the median time of a forward and backward pass on one thread [ms]."""
     torch, model, points = _training(layers, batch)
     torch.set_num_threads(1)
     work = {"step": lambda: model(points).square().sum().backward()}

@@ -1,4 +1,4 @@
-"""Pairs of segments that show one object or two, and how likely a method takes them for one."""
+"""Matching and different pairs of segments, and their scores by a method."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Described:
-    """What a descriptor says of the segments of M pairs.
+    """Descriptors of the segments of M pairs.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Roc:
 
 
 def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 0) -> Pairs:
-    """As many matching pairs as pairs that do not match, all across sessions.
+    """Draw as many matching as different pairs, all across sessions.
 
     The labels are the paper's: centroids within 0.5 m show one object, centroids more than 20 m
     apart (or in different worlds) two. Extents play no part, so some of the matching pairs show
@@ -117,7 +117,7 @@ def labelled_pairs(dataset: SegmentDataset, *, limit: int = 20_000, seed: int = 
 
 
 def _far(dataset: SegmentDataset, count: int, rng: np.random.Generator) -> tuple[Int64, Int64]:
-    """``count`` random pairs of different sessions that lie more than 20 m apart."""
+    """Draw ``count`` random pairs of different sessions more than 20 m apart."""
     found = [np.empty((0, 2), np.int64)]
     missing = count
     for _ in range(64):
@@ -143,7 +143,7 @@ def described(descriptor: Descriptor, dataset: SegmentDataset, pairs: Pairs) -> 
 
 
 def pair_scores(found: Described, pruner: Pruner | None = None, threads: int = 1) -> Float64:
-    """How much a method takes each pair for one object, (M,) float64; higher is more.
+    """Return a method's score that each pair matches, (M,) float64.
 
     Minus the distance of the descriptors; where there is a pruner, the probability that it gives
     the pair: that of the forest of SegMatch and NSM, or of FC4 for ``-fq``
@@ -156,7 +156,7 @@ def pair_scores(found: Described, pruner: Pruner | None = None, threads: int = 1
 
 
 def trust_scores(found: Described) -> Float64 | None:
-    """In which order a map's candidate matches are trusted, (M,); None without a quality.
+    """Return a map's candidate matches by falling score, (M,); None without a quality.
 
     The logarithm of exp(-distance) times both qualities, as in
     :meth:`segloc.proposals.matching.Matcher.match`. A quality says how likely a segment's *nearest*
@@ -175,7 +175,7 @@ def _distances(found: Described) -> Float64:
 
 
 def roc(scores: Float64, pairs: Pairs, *, seed: int = 0, points: int = 200) -> Roc:
-    """The characteristic of scores (M,) of pairs.
+    """Return the ROC of scores (M,) of pairs.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def roc(scores: Float64, pairs: Pairs, *, seed: int = 0, points: int = 200) -> R
 
 
 def _thinned(x: Float64, y: Float64, points: int) -> Int64:
-    """Indices of points spread evenly along a curve that rises from (0, 0) to (1, 1)."""
+    """Return indices of points spread evenly along a curve from (0, 0) to (1, 1)."""
     along = (x + y) / 2
     kept = np.searchsorted(along, np.linspace(0.0, 1.0, points) - 1e-12)
     return np.unique(np.clip(kept, 0, len(x) - 1)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Figures that were published, to stand beside what is measured here.
+"""Published figures, shown beside the measured ones.
 
 All are from Tinchev et al., "Real-time LIDAR localization in natural and urban environments"
 (arXiv 2301.13583).
@@ -18,7 +18,7 @@ METHODS = (
     "dsm",
     "dsm-fq",
 )
-"""By our names: there SM-Eig, SM-ESF, NSM-RF, SegMap, ESM, ESM-FQ, DSM, DSM-FQ."""
+"""Our names of SM-Eig, SM-ESF, NSM-RF, SegMap, ESM, ESM-FQ, DSM, DSM-FQ."""
 
 GENERALIZATION: tuple[tuple[str, str, tuple[float, ...]], ...] = (
     ("kitti", "kitti", (0.632, 0.655, 0.738, 0.858, 0.902, 0.930, 0.880, 0.911)),
@@ -64,7 +64,7 @@ preprocessing, descriptor, matching, pruning and pose, K, and the total as it wa
 
 
 def localizations() -> Table:
-    """Table II."""
+    """Return Table II."""
     return Table(
         "localizations-paper",
         "Number of localizations",
@@ -78,7 +78,7 @@ def localizations() -> Table:
 
 
 def times() -> Table:
-    """Table III."""
+    """Return Table III."""
     return Table(
         "times-paper",
         "Milliseconds a query",

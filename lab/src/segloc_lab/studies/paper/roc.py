@@ -1,4 +1,4 @@
-"""How well each method tells segments of one object from those of two (Fig. 5 of the paper)."""
+"""Separation of matching and different segments by each method (Fig. 5 of the paper)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ minutes only: the methods are as good here as they get in that time."""
 
 
 def run(workspace: Workspace, plan: Plan | None = None) -> Study:
-    """ROC curves of all methods, each trained and tested on one domain.
+    """Draw ROC curves of all methods, each trained and tested on one domain.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _details(curves: Curves) -> Table:
 
 
 def _judges(transfer: Transfer, curves: Curves) -> Table:
-    """Distance against what was learned to judge it."""
+    """Compare distance with learned scores of pairs."""
     rows: list[tuple[Cell, ...]] = []
     for domain, found in curves.items():
         for method in (m for m in _JUDGED if m in transfer.methods):
@@ -118,9 +118,9 @@ def _judges(transfer: Transfer, curves: Curves) -> Table:
             rows.append((TITLES[domain], method, *map(_area, each)))
     columns = ("set", "method", "distance", "FC4", "distance and quality")
     note = (
-        "Areas by what judges a pair. FC4 is what the paper calls feature quality. The quality "
-        "that localization orders its matches by judges a single segment: whether the nearest one "
-        "in a map will be of the same object. Of pairs that are given it says little."
+        "Areas by score of a pair. FC4 is what the paper calls feature quality. The quality "
+        "that localization orders its matches by rates a single segment: whether the nearest one "
+        "in a map will be of the same object. It says little about given pairs."
     )
     return Table("roc_judges", "What judges a pair", columns, tuple(rows), note)
 

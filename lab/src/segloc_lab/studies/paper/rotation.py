@@ -1,4 +1,4 @@
-"""How much a descriptor changes as its segment turns (Fig. 6 of the paper)."""
+"""Change of descriptors of turned segments (Fig. 6 of the paper)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ principal axes in space."""
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is trained and turned.
+    """Amounts of training and turning.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ PLANS = {"small": Plan(250, 300, 2_000), "full": Plan(1500, 1000, 10_000)}
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far descriptors move as segments turn.
+    """Change of descriptors as segments turn.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Deviation:
 
 
 def turned(segments: Segments, degrees: float) -> Segments:
-    """Segments turned about the vertical axis through the origin."""
+    """Turn segments about the vertical axis through the origin."""
     turn = yaw_transform(np.radians(degrees))[:3, :3]
     points = (segments.points.astype(np.float64) @ turn.T).astype(np.float32)
     return Segments(points, segments.offsets, segments.centroids @ turn.T, segments.heights)
@@ -90,7 +90,7 @@ def turned(segments: Segments, degrees: float) -> Segments:
 def deviation(
     describe: Callable[[Segments], Float32], segments: Segments, degrees: Float64 = DEGREES
 ) -> Deviation:
-    """delta = d(c_n, c_0) / Z of every segment at every angle n.
+    """Return delta = d(c_n, c_0) / Z of every segment at every angle n.
 
     ``c_n`` is the descriptor of the segment turned by n degrees, and Z the mean distance between
     the descriptors of all pairs of different segments (section Rotation Variation).
@@ -154,7 +154,7 @@ def _name(alignment: Alignment, augmented: bool) -> str:
 
 
 def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, Descriptor]:
-    """The six trained ones, and ours as they are shipped."""
+    """Return the six trained methods, and ours as shipped."""
     data = domains.folder(DOMAIN, "train")
     variants = [(alignment, yaw) for yaw in (False, True) for alignment in _ALIGNMENTS]
     trainings = [
@@ -184,7 +184,7 @@ def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, De
 
 
 def _summary(found: Deviation) -> tuple[Cell, ...]:
-    """Mean over angles and segments, 95 % quantile, the worst angle's mean."""
+    """Return the mean over angles and segments, the 95 % quantile, and the worst angle's mean."""
     moved = found.delta[(found.degrees % 360) != 0]
     return (
         round(float(moved.mean()), 4),

@@ -1,4 +1,4 @@
-"""What farthest-point sampling costs, and what it is worth (section Sampling of the paper)."""
+"""Cost and benefit of farthest-point sampling (section Sampling of the paper)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ and how much the code, shows where all samplers are timed in turns on the same s
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is timed and trained.
+    """Amounts of timing and training.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
 
 
 def _speeds(measured: Row) -> Table:
-    """Every sampler's time against the loop over segments."""
+    """Compare every sampler's time with the loop over segments."""
     times = {f"{OURS}, this processor's best": measured.ours_ms, **measured.rivals}
     naive = measured.rivals[NAIVE]
     rows: list[tuple[Cell, ...]] = [
@@ -140,7 +140,7 @@ def _rows(
 
 
 def sampled_vectors(weights: Path, dataset: SegmentDataset, sampler: Sampler) -> Float32:
-    """Descriptors (P, 16) of all segments, their points in the sampler's order.
+    """Describe all segments (P, 16), with points in the sampler's order.
 
     The descriptors of the package always take the farthest points.
     """

@@ -1,4 +1,4 @@
-"""Milliseconds a query, stage by stage and method by method (Table III of the paper)."""
+"""Time per query by stage and method (Table III of the paper)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ Source = Callable[[], tuple[Recording, list[LocalCloud]]]
 
 @dataclass(frozen=True)
 class Bench:
-    """What is timed.
+    """Amounts of timing.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def _sources(workspace: Workspace) -> Iterator[tuple[str, dict[str, Any], Source
 
 
 def _clouds(scenario: SuiteScenario | KittiScenario) -> tuple[Recording, list[LocalCloud]]:
-    """The recording to map, and a few queries, evenly spread."""
+    """Return the recording to map, and a few queries, evenly spread."""
     opened = scenario.open()
     query_set = next(iter(opened.query_sets.values()))
     count = min(_QUERIES, len(query_set.positions))
@@ -136,7 +136,7 @@ def _measured(
 
 
 def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
-    """Median milliseconds of every stage, by method; all methods take turns.
+    """Return the median time of every stage by method [ms]; methods take turns.
 
     With one thread the time is the processor's, which other work on the machine disturbs less.
     """
@@ -158,7 +158,7 @@ def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
 
 
 def _padded_place(maps: Mapping[str, SegmentMap], threads: int) -> MappedPlace:
-    """The place in maps of at least :data:`MAP_SEGMENTS`."""
+    """Return the place in maps of at least :data:`MAP_SEGMENTS`."""
     size = max(MAP_SEGMENTS, len(next(iter(maps.values()))))
     return place_of({name: padded_with_copies(each, size) for name, each in maps.items()}, threads)
 
@@ -166,7 +166,7 @@ def _padded_place(maps: Mapping[str, SegmentMap], threads: int) -> MappedPlace:
 def _stage_ms(
     localizers: Mapping[str, Localizer], cloud: LocalCloud, clock: Clock
 ) -> dict[str, float]:
-    """Of every stage once with our estimator, and of the pose with the paper's."""
+    """Time every stage once with our estimator, and the pose with the paper's."""
     watch = StageTimes(clock)
     scene, matches = single_pass(localizers["consensus"], cloud, watch)
     published_ = localizers["published"]
@@ -181,7 +181,7 @@ def time_table(
     measured: Mapping[str, Any],
     descriptors: Mapping[str, Descriptor],
 ) -> Table:
-    """One row a method and processor."""
+    """Return one row per method and processor."""
     rows = [
         _row(name, processor, descriptors, times)
         for processor, by_method in measured["times"].items()

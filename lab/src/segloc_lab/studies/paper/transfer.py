@@ -1,4 +1,4 @@
-"""Every method, trained on one domain, on the pairs of another: what ROC curves are made of."""
+"""ROC curves of methods trained on one domain and tested on another."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores
 from .workspace import Workspace
 
 SHIPPED = "shipped"
-"""The weights that come with the package, as if they were a domain to train on."""
+"""The shipped weights, as if they were a training domain."""
 
 TITLES = {
     "kitti": "KITTI (simulated)",
@@ -30,12 +30,12 @@ TITLES = {
     RECORDED: "KITTI 00 (real)",
     SHIPPED: "shipped weights",
 }
-"""Of training and test sets."""
+"""Training and test sets."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is simulated, trained and compared.
+    """Amounts of simulation, training and comparison.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ PLANS = {
 
 
 class Transfer:
-    """The curves of any method, trained on any domain, on any test set; none is made twice.
+    """ROC curves of any method, training and test domain; each is computed once.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Transfer:
         self._described: dict[tuple[str, str], Described] = {}
 
     def prepare(self, domains: Sequence[str]) -> None:
-        """Make the segments of the named domains, and train all methods on each, side by side."""
+        """Make the segments of some domains, and train all methods on each, in parallel."""
         for domain in domains:
             self.domains.folder(domain, "test")
         wanted = [
@@ -101,7 +101,7 @@ class Transfer:
             trained(wanted, workers=space.workers, executor=space.executor, progress=update)
 
     def score(self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()) -> None:
-        """Make all curves of each (source, test) side by side, where there are several processes.
+        """Compute all curves of each (source, test), in parallel if there are processes.
 
         ``trusted`` are the methods of which :meth:`trust` is made, too. What is made is kept, so
         that :meth:`curve` and :meth:`trust` find it.
@@ -118,7 +118,7 @@ class Transfer:
                 update(done, len(tasks))
 
     def curve(self, method: str, source: str, test: str) -> Roc | None:
-        """How well a method that was trained on ``source`` tells the pairs of ``test`` apart.
+        """Return the ROC of a method trained on ``source`` on the pairs of ``test``.
 
         None where there is nothing to tell: weights that are not shipped.
         """
@@ -130,7 +130,7 @@ class Transfer:
         return self._cached("roc", method, source, test, compute)
 
     def trust(self, method: str, source: str, test: str) -> Roc | None:
-        """The same for the order in which matching trusts its candidates; None if no quality."""
+        """Return the same for the order of candidate matches; None without a quality."""
 
         def compute(descriptor: Descriptor) -> Roc | None:
             scores = trust_scores(self._describe(descriptor, test))
@@ -141,7 +141,7 @@ class Transfer:
         return self._cached("trust", method, source, test, compute)
 
     def pairs(self, test: str) -> Pairs:
-        """The labelled pairs of a test set."""
+        """Return the labelled pairs of a test set."""
         if test not in self._pairs:
             dataset = self.domains.dataset(test, "test")
             self._pairs[test] = labelled_pairs(
@@ -158,7 +158,7 @@ class Transfer:
         )
 
     def _weights(self, method: str, source: str) -> Path | None:
-        """What a method was trained to; None for what is shipped or untrained."""
+        """Return a method's training; None if shipped or untrained."""
         base = source_of(method)
         if source == SHIPPED or base not in (*NETWORKS, *FORESTS):
             return None
@@ -211,7 +211,7 @@ class Transfer:
 
 @dataclass(frozen=True)
 class _Cell:
-    """The curves of all methods for one training set and one test set."""
+    """Compute the curves of all methods for one training set and one test set."""
 
     workspace: Workspace
     plan: Plan
@@ -221,7 +221,7 @@ class _Cell:
 
 
 def _score(cell: _Cell) -> None:
-    """Make the curves of a cell, in whatever process."""
+    """Compute the curves of a cell in any process."""
     transfer = Transfer(cell.workspace, cell.plan)
     for method in transfer.methods:
         transfer.curve(method, cell.source, cell.test)
@@ -230,7 +230,7 @@ def _score(cell: _Cell) -> None:
 
 
 def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> str:
-    """Of everything that decides a method's scores."""
+    """Return a hash of everything that affects a method's scores."""
     if weights is None:
         return shipped_fingerprint(method)
     pruner = descriptor.pruner.fingerprint if descriptor.pruner is not None else ""

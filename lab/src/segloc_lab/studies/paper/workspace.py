@@ -1,4 +1,4 @@
-"""Where a study of the paper runs: a folder, simulated test sets, and KITTI where it is at hand."""
+"""Workspace of the paper's studies: a folder, simulated test sets, and KITTI if available."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCALES = ("small", "full", PAPER)
 
 @dataclass(frozen=True, kw_only=True)
 class Workspace(workspace.Workspace):
-    """The folder, the data and the means of an evaluation.
+    """Folder, data and resources of an evaluation.
 
     Attributes
     ----------
@@ -51,22 +51,22 @@ class Workspace(workspace.Workspace):
 
     @property
     def effort(self) -> str:
-        """By which scale everything but the test sets is measured."""
+        """Scale of everything except the test sets."""
         return "full" if self.scale == PAPER else self.scale
 
     @property
     def sets(self) -> tuple[TestSet, ...]:
-        """The test sets of the suite, or those of them that are wanted."""
+        """Return the test sets of the suite, or the requested ones."""
         tests = SUITES[self.suite]
         return tests if self.only is None else tuple(t for t in tests if t.name in self.only)
 
     @property
     def code(self) -> Mapping[str, str]:
-        """That of the package: parts that other code has made are made again."""
+        """Hash of the package's code; parts of other code are recomputed."""
         return {"trees": code()}
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
-        """What a study says of itself: enough to repeat it."""
+        """Return the facts that repeat a study."""
         data = None if self.data is None else self.data.name
         only = None if self.only is None else [test.name for test in self.sets]
         own = {"suite": self.suite, "scale": self.scale, "only": only, "data": data}
