@@ -28,7 +28,7 @@ class Reason(str, Enum):
     likely_cause: str
     remedy: str
 
-    def __new__(cls, value: str, likely_cause: str, remedy: str) -> Reason:
+    def __new__(cls, value: str, likely_cause: str = "", remedy: str = "") -> Reason:
         member = str.__new__(cls, value)
         member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
         return member

@@ -13,7 +13,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from segloc import _native
-from segloc.frontend.segmentation import Segmenter
+from segloc.frontend.segmentation import (
+    SegmentationConfig,
+    Segmenter,
+    heights_above_ground,
+)
 from segloc.types import Float32, LocalCloud
 
 
@@ -222,3 +226,13 @@ def test_kernels_refuse_what_they_cannot_use() -> None:
         _native.voxel_grid(wide, 1e-6)
     with pytest.raises(ValueError, match="too wide"):
         _native.heights_above_ground(wide, 1.0, 0.2, 0.3)
+
+
+def test_ground_of_a_cloud_tens_of_kilometres_wide() -> None:
+    rng = np.random.default_rng(5)
+    near = rng.uniform(0.0, 20.0, (4000, 3)) * [1, 1, 0.1]
+    far = np.concatenate([near, near + [30_000.0, 41_000.0, 50.0]]).astype(np.float32)
+    heights = heights_above_ground(far, SegmentationConfig())
+    expected = heights_above_ground(near.astype(np.float32), SegmentationConfig())
+    np.testing.assert_allclose(heights[:4000], expected, atol=1e-5)
+    assert np.median(np.abs(heights[4000:] - expected)) < 0.1

@@ -235,7 +235,9 @@ def test_a_bomb_inflates_to_no_more_than_it_may(
     def swollen(header: dict[str, Any]) -> None:
         _recipe("vectors", shape=[(1 << 26) // 7, 7])(header)
 
-    assert_refused(tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot unpack")
+    assert_refused(
+        tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot unpack"
+    )
 
 
 def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:

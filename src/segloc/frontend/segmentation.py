@@ -87,11 +87,26 @@ class SegmentationConfig(Section):
     )
 
 
+_BLOCK_CELLS = 4096
+"""Width of a block that has a grid of its own: 64 MB."""
+
+
 def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32:
-    """The height of each of (N, 3) points above the ground below it, (N,), metres."""
-    return _native.heights_above_ground(
-        points, config.ground_cell, config.ground_slope, config.ground_step
-    )
+    """The height of each of (N, 3) points above the ground below it, (N,), metres.
+
+    Of a cloud that is kilometres wide each block of ``_BLOCK_CELLS`` cells has ground of its own.
+    """
+    ground = config.ground_cell, config.ground_slope, config.ground_step
+    wide = _BLOCK_CELLS * config.ground_cell
+    if not len(points) or not (np.ptp(points[:, :2], axis=0) > wide).any():
+        return _native.heights_above_ground(points, *ground)
+    blocks = np.floor(points[:, :2].astype(np.float64) / wide).astype(np.int64)
+    number = np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
+    heights = np.empty(len(points), np.float32)
+    for k in range(number.max() + 1):
+        here = number == k
+        heights[here] = _native.heights_above_ground(np.ascontiguousarray(points[here]), *ground)
+    return heights
 
 
 @dataclass(frozen=True)

@@ -152,10 +152,11 @@ class Scorer:
         decisive = not thorough and self._margin(candidates) >= self._threshold
         if decisive:
             best = min(ranked, key=by_segments)
-            fit = self._measure(best.T_map_local, inliers)
-            if self._at_least(fit, ranked).log_ratio >= self._threshold:
-                self.fits = [self._map.finished(fit, self._query)]
-                return Posterior.of([self._at_least(self.fits[0], ranked)], self._model.lapse)
+            fit = self._map.finished(self._measure(best.T_map_local, inliers), self._query)
+            place = self._at_least(fit, ranked)
+            if place.log_ratio >= self._threshold:
+                self.fits = [fit]
+                return Posterior.of([place], self._model.lapse)
         for start, T in self._promising(ranked, thorough, decisive):
             self._measure(T, inliers, start)
         while (fit_left := self._undecided(thorough)) is not None:

@@ -161,7 +161,10 @@ def test_metadata_and_captures_that_are_wrong(tmp_path: Path) -> None:
         ({"data_format": {"columns_per_frame": 0}}, "'columns_per_frame' is 0"),
         ({"lidar_to_sensor_transform": [1, 2]}, "not Ouster metadata"),
         ({"data_format": {"pixels_per_column": 64}}, "8 beams, but 64 pixels"),
-        ({"udp_port_lidar": 9}, "0 of 71 datagrams have 1792 bytes to port 9, as set in drive.json"),
+        (
+            {"udp_port_lidar": 9},
+            "0 of 71 datagrams have 1792 bytes to port 9, as set in drive.json",
+        ),
     ):
         file.write_text(json.dumps(whole | changes))
         with pytest.raises(DatasetError, match=fault) as caught:

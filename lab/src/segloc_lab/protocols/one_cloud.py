@@ -1,7 +1,8 @@
 r"""Finished clouds as maps, beside maps of the same scans with their poses, in simulated worlds.
 
 Single scans of a later session are localized in both maps of their world and in the mirror image of
-its cloud, and queries of other worlds in its cloud. In the last two every answer is false.
+its cloud, and queries of other worlds in its cloud. In the last two every answer is false. A
+warehouse may be its own mirror image, and is not searched there.
 
     python -m segloc_lab.calibration.worlds --first-seed 51000 --each 1 --out WORLDS
     python -m segloc_lab.protocols.one_cloud WORLDS --seed 41000
@@ -141,7 +142,8 @@ def measure(kind: str, seed: int, others: Sequence[Query]) -> list[tuple[str, ..
         prior_map = make()
         built, localizer = time.process_time() - start, Localizer(prior_map, config)
         answers, is_cloud = Answers.of(own, localizer), name == "one cloud"
-        behind = [Query(q.scan, None) for q in own] if is_cloud else []
+        handed = is_cloud and not (kind in KINDS and KINDS[kind].alike)
+        behind = [Query(q.scan, None) for q in own] if handed else []
         in_mirror = Answers.of(behind, Localizer(mirrored(prior_map), config))
         of_others = Answers.of(others if is_cloud else [], localizer)
         area = len(np.unique(np.floor(prior_map.cloud[:, :2] / CELL_M), axis=0)) * CELL_M**2 / 1e3

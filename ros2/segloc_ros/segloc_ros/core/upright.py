@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from segloc import geometry
-from segloc.datasets.gravity import HALF_WINDOW_S, weighed
+from segloc.datasets.gravity import HALF_WINDOW_S, gravity_of
 from segloc.types import Float64, Pose
 
 _MOST = 2048
@@ -40,7 +40,7 @@ class Upright:
             return True
         if not self._kept or self._kept[-1][0] - self._kept[0][0] < HALF_WINDOW_S:
             return False
-        gravity = weighed(np.stack([value for _, value in self._kept]))
+        gravity = gravity_of(np.stack([value for _, value in self._kept]))
         if gravity is None:
             return False
         self.T_level_odom = geometry.upright(-(T_odom_imu[:3, :3] @ gravity.direction))
