@@ -197,7 +197,7 @@ def _recipe(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
         (_recipe("vectors", shape=[1, 7]), r"is F32 \(1, 7\), not F32|are? .*\(1,"),
         (_recipe("vectors", width=3), "unreadable coding"),
         (_recipe("vectors", width=2), "vectors: does not inflate"),
-        (_recipe("vectors", low=[0]), "vectors: coded with another width"),
+        (_recipe("vectors", low=[0]), "coded with another width"),
         (_recipe("vectors", exponents=[150] * 7), "vectors: row"),
         (_recipe("sizes", low=[2**40]), "sizes: numbers out of range"),
         (_recipe("sizes", exponents=[40]), "sizes: numbers out of range"),

@@ -31,7 +31,7 @@ def test_every_format_keeps_to_the_limit(
     with pytest.raises(DatasetError) as caught:
         read_scan(path)
     message = str(caught.value)
-    assert message.startswith(f"{path}: ") and f"set {budget.OPTION}" in message
+    assert message.startswith(f"{path}: ") and f"increase {budget.OPTION}" in message
     monkeypatch.setenv(budget.OPTION, "4000")
     assert len(read_scan(path)) == 40
 

@@ -163,7 +163,7 @@ def test_metadata_and_captures_that_are_wrong(tmp_path: Path) -> None:
         ({"data_format": {"pixels_per_column": 64}}, "8 beams, but 64 pixels"),
         (
             {"udp_port_lidar": 9},
-            "0 of 71 datagrams have 1792 bytes to port 9, as set in drive.json",
+            "0 of 71 datagrams have 1792 bytes to port 9, as set in",
         ),
     ):
         file.write_text(json.dumps(whole | changes))
