@@ -33,7 +33,7 @@ EXPECTED: dict[str, tuple[int, str]] = {
     "24_bad_odometry/tf_q0": (READ, "note: /tf: 1 transforms of 'base_link' dropped"),
     "25_bag_hang/empty.mcap": (REFUSED, "empty file"),
     "25_bag_hang/no_clouds": (REFUSED, "no topic of scans; topics: /odom"),
-    "25_bag_hang/text.bag": (REFUSED, "no bag file, by its first bytes"),
+    "25_bag_hang/text.bag": (REFUSED, "not a bag file"),
     "25_bag_hang/two_topics": (REFUSED, r"--topic: /a/points \(2\), /b/points \(2\)"),
     "26_point_times/fraction01": (READ, "note: point times run from 0 to 1: taken as fractions"),
     "26_point_times/us_u4": (READ, "note: point times span .* multiplied by 1000"),
@@ -157,7 +157,7 @@ def test_bags_that_cannot_be_used_end_every_verb_in_one_line(tmp_path: Path) -> 
         (bag("two_ros1", ("/a", "/b"), "ros1"), [], r"--topic: /a \(3\), /b \(3\)"),
         (bag("none", ()), [], "no topic of scans; topics: /odom"),
         (bag("frames", ("/a",), "sqlite3", 2), [], "two sensors on one topic"),
-        (healthy, ["--topic", "/other"], r"'/other' is no topic of scans: /points \(3\)"),
+        (healthy, ["--topic", "/other"], r"'/other'.*/points \(3\)"),
     ]
     verbs = [["doctor"], ["info"], ["map", "build", "--out", str(tmp_path / "out.segmap")]]
     lines = [[*verb, str(path), *more] for path, more, _ in cases for verb in verbs]

@@ -27,7 +27,6 @@ LABORATORY = "measures for minutes to hours, most of it on real scans: its modul
 NOT_RUN = {
     r"pip install": "installs: `make wheel-check` does so",
     r"python3 -m venv|\. ": "sets up an environment",
-    r"make ": "of the Makefile, which has such a target",
     r"git clone": "fetches from elsewhere",
     r"cd ": "of the command before it",
     r"python -m segloc_lab": LABORATORY,

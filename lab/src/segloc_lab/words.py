@@ -5,7 +5,6 @@ python -m segloc_lab.words --seed 2026 --count 40
 
 from __future__ import annotations
 
-import argparse
 import ast
 import io
 import json
@@ -14,6 +13,8 @@ import re
 import tokenize
 from collections.abc import Iterator
 from pathlib import Path
+
+from .report import parser
 
 PATTERNS = ("said|says", "judged", "asked", "so (?:many|much|near)")
 Place = tuple[str, str, int, str]
@@ -81,7 +82,7 @@ def page_places() -> Iterator[Place]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__)
+    options = parser(__doc__)
     options.add_argument("--seed", type=int, default=2026, help="random seed")
     options.add_argument("--count", type=int, default=40, help="places of code, and of pages")
     args = options.parse_args()

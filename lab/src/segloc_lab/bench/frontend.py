@@ -9,7 +9,6 @@ has the other version of segloc. Scans of ``--data`` are real where it has them,
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -22,6 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc.types import Float32
+
+from ..report import parser
 
 OURS = "this"
 _WORKER = Path(__file__).with_name("frontend_worker.py")
@@ -136,7 +137,7 @@ def sensors(data: Path | None) -> dict[str, list[Float32]]:
 
 
 def main() -> None:
-    parsed = argparse.ArgumentParser(description=__doc__)
+    parsed = parser(__doc__)
     parsed.add_argument("--data", type=Path)
     parsed.add_argument("--against", metavar="PYTHON", help="interpreter of the other version")
     parsed.add_argument("--repeats", type=int, default=20)

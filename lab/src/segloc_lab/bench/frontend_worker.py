@@ -1,11 +1,14 @@
 """Time the front half of a query on scans that are named on stdin: a script for any version.
 
+    python -m segloc_lab.bench.frontend_worker < FILES
+
 It imports nothing but ``segloc``, so that it runs with whatever version an interpreter has. Each
 line of stdin is a file of points; each line of stdout has the processor time of its stages.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import sys
 import time
@@ -73,6 +76,8 @@ def measure(path: str) -> dict[str, float]:
 
 
 def main() -> None:
+    shown = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=shown).parse_args()
     for line in sys.stdin:
         found = measure(line.strip())
         print(";".join(f"{stage}={ms:.6f}" for stage, ms in found.items()), flush=True)
