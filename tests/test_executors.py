@@ -56,7 +56,7 @@ def test_what_parts_cannot_be_written_to_is_said(walks: list[Walk], tmp_path: Pa
 
     with ThreadPoolExecutor(1) as executor, pytest.raises(SeglocError, match="no such folder"):
         build_merged_map(walks[:1], GEO, executor=executor, folder=tmp_path / "lost")
-    with pytest.raises(ConfigError, match="no session"):
+    with pytest.raises(ConfigError, match="no recordings"):
         build_merged_map([], GEO)
 
 

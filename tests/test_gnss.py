@@ -51,7 +51,7 @@ def test_it_is_kept_whatever_becomes_of_the_map(tmp_path: Path) -> None:
     other.metadata[KEY] = Georeference(25833, HERE.origin_m).to_text()
     with pytest.raises(MapMismatch, match=r"EPSG:25832.*EPSG:25833"):
         check_same_place(made, other)
-    with pytest.raises(MapFormatError, match="no georeference"):
+    with pytest.raises(MapFormatError, match="georeference"):
         Georeference.of(made.merge(other).metadata)
 
 
@@ -59,7 +59,7 @@ def test_it_is_kept_whatever_becomes_of_the_map(tmp_path: Path) -> None:
     "text", ["", "[]", "{}", '{"epsg": 25832}', '{"epsg":0,"origin_m":[1,2,3]}']
 )
 def test_what_is_none_is_refused(text: str) -> None:
-    with pytest.raises(MapFormatError, match="no georeference"):
+    with pytest.raises(MapFormatError, match="georeference"):
         Georeference.of({KEY: text})
     assert Georeference.of({}) is None
     with pytest.raises(ConfigError):
@@ -118,7 +118,7 @@ def test_a_query_has_the_nearest_fix_in_time() -> None:
     assert gnss_priors(fixes_at([[0, 0]], [1.0], 9e9), HERE, np.array([1.0]), 25.0) == [None]
     lost = Fixes("/fix", np.ones(1), np.array([[11.0, 95.0, 0.0]]), np.ones(1))
     assert gnss_priors(lost, HERE, np.ones(1), 25.0) == [None]
-    with pytest.raises(DatasetError, match="have no times"):
+    with pytest.raises(DatasetError, match="no stamps"):
         gnss_priors(fixes, HERE, None, 25.0)
 
 
@@ -160,7 +160,7 @@ def test_fixes_of_a_bag(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(fixes.degrees[:, 0], 11.5 + 1e-5 * np.arange(5), rtol=1e-12)
     np.testing.assert_array_equal(np.isnan(fixes.error_m), [True, *[False] * 4])
     np.testing.assert_allclose(fixes.error_m[1:], 3.0)
-    with pytest.raises(DatasetError, match="no topic of GNSS fixes /other"):
+    with pytest.raises(DatasetError, match="/other; available: /gps/fix"):
         read_fixes(path, "/other")
-    with pytest.raises(DatasetError, match="no bag"):
+    with pytest.raises(DatasetError, match="not a bag"):
         read_fixes(tmp_path / "scans")

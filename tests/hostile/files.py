@@ -194,15 +194,15 @@ add("scan", "rows.txt", b"1 2 3\n" * (MOST_POINTS + 9), LIMIT)
 add("scan", "blank.txt", b"\n" * 9_000_000, may_be_read=True)
 add("scan", "comments.txt", b"#\n" * 1_000_000, may_be_read=True)
 add("scan", "nan.bin", b"\xff" * 16_000, may_be_read=True)
-add("scan", "far.bin", np.full((400, 4), 3e38, "<f4").tobytes(), "something else")
+add("scan", "far.bin", np.full((400, 4), 3e38, "<f4").tobytes(), "not a KITTI scan")
 add("scan", "many.bin", np.tile(np.float32([1, 50, 9, 0.1]), MOST_POINTS + 1).tobytes(), LIMIT)
 for suffix in ("bin", "pcd.bin", "pcd", "ply", "csv", "vtk", "las", "laz", "npy", "npz", "xyz"):
     add("scan", f"sparse.{suffix}", sparse(1 << 40), LIMIT)
-add("scan", "pipe.pcd", os.mkfifo, "not a file")
-add("scan", "zero.bin", lambda path: path.symlink_to("/dev/zero"), "not a file")
+add("scan", "pipe.pcd", os.mkfifo, "not a regular file")
+add("scan", "zero.bin", lambda path: path.symlink_to("/dev/zero"), "not a regular file")
 add("scan", "lost.ply", lambda path: path.symlink_to("nowhere"), "no such file")
 add("scan", "loop.ply", lambda path: path.symlink_to(path), "no such file|cannot read")
-add("scan", "folder.las", Path.mkdir, "not a file")
+add("scan", "folder.las", Path.mkdir, "not a regular file")
 add("scan", "line\nbreak.pcd", b"FIELDS x\n", "no DATA")
 
 
@@ -227,7 +227,7 @@ add("trajectory", "scale.txt", b"1e200 0 0 0 0 1 0 0 0 0 1 0\n", "rigid")
 add("trajectory", "noise.tum", bytes(range(256)) * 100, "tum")
 add("trajectory", "utm.tum", b"0 450000 5400000 100 0 0 0 1\n1 450001 5400001 100 0 0 0 1\n",
     may_be_read=True)  # fmt: skip
-add("trajectory", "pipe.tum", os.mkfifo, "not a file")
+add("trajectory", "pipe.tum", os.mkfifo, "not a regular file")
 
 
 # --- configurations -------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ add("config", "key.yaml", b"1: 2\n", "yaml")
 add("config", "list.yaml", b"method: [1, 2]\npose: 3\n", "method|descriptor")
 add("config", "bytes.yaml", b"\xff\xfe\0\0", "cannot be read")
 add("config", "control.yaml", b"a: \x01\n", "not YAML")
-add("config", "pipe.yaml", os.mkfifo, "not a file")
+add("config", "pipe.yaml", os.mkfifo, "not a regular file")
 
 
 # --- weights --------------------------------------------------------------------------------------
@@ -311,7 +311,7 @@ add(
     "profile",
 )
 add("weights", "forest.safetensors", network("forest", {"descriptor": "x"}), "forest")
-add("weights", "pipe.safetensors", os.mkfifo, "not a file")
+add("weights", "pipe.safetensors", os.mkfifo, "not a regular file")
 
 
 # --- recordings -----------------------------------------------------------------------------------
@@ -431,7 +431,7 @@ def ros1_index(connections: int, chunks: int) -> Callable[[Path], object]:
 
 
 add("sequence", "chunks.bag", ros1_index(1, 20_000), "the index is longer")
-add("sequence", "connections.bag", ros1_index(3, 1), "one number")
+add("sequence", "connections.bag", ros1_index(3, 1), "share an id")
 
 
 def lying_mcap(path: Path) -> None:
@@ -595,12 +595,17 @@ def fragments(count: int) -> bytes:
     return b"".join(rows)
 
 
-add("sequence", "fragments.pcap", PCAP + fragments(60_000), "no turn")
-add("sequence", "nothing.pcap", PCAP + bytes(16) * 200_000, "no turn")
+add("sequence", "fragments.pcap", PCAP + fragments(60_000), "no Velodyne turn")
+add("sequence", "nothing.pcap", PCAP + bytes(16) * 200_000, "no Velodyne turn")
 add("sequence", "vlan.pcap", PCAP + struct.pack("<IIII", 0, 0, 4_000_000, 0)
-    + b"\x81\x00" * 2_000_000, "no turn")  # fmt: skip
+    + b"\x81\x00" * 2_000_000, "no Velodyne turn")  # fmt: skip
 add("sequence", "short.pcap", PCAP[:20], "cut off")
-add("sequence", "sparse.pcap", lambda path: path.write_bytes(PCAP + b"\xff" * 9000), "no turn")
+add(
+    "sequence",
+    "sparse.pcap",
+    lambda path: path.write_bytes(PCAP + b"\xff" * 9000),
+    "no Velodyne turn",
+)
 
 
 # --- the command line -----------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
         align_sessions([])
     without = PlazaSequence(plaza, steps=2)
     without.poses = None  # type: ignore[assignment]
-    with pytest.raises(DatasetError, match="session 0: plaza: aligning needs odometry"):
+    with pytest.raises(DatasetError, match="session 0: plaza: .*needs odometry"):
         align_sessions([without], CONFIG)
     with pytest.raises(DatasetError, match=r"poses of shape \(3, 4, 4\) for 15 scans"):
         Reposed(PlazaSequence(plaza), np.tile(np.eye(4), (3, 1, 1)))
@@ -109,7 +109,7 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
         def scan(self, i: int) -> Scan:
             return Scan(np.empty((0, 3), np.float32), T_odom_sensor=self.poses[i])
 
-    with pytest.raises(DatasetError, match="session 1: plaza: no segment found in 2 scans"):
+    with pytest.raises(DatasetError, match="session 1: plaza: no segments in 2 scans"):
         align_sessions([PlazaSequence(plaza, steps=2), Empty(plaza, steps=2)], CONFIG)
 
 

@@ -31,9 +31,9 @@ def evaluate(*arguments: object) -> None:
             ConfigError,
             "scale must be one of small, full, paper, not 'huge'",
         ),
-        (("localization", "here"), ConfigError, "give two recordings"),
+        (("localization", "here"), ConfigError, "two recordings"),
         (("localization", "a", "b"), DatasetError, "a: no such file or folder"),
-        (("localization", "--methods", "x"), ConfigError, "no method 'x'; there are .*dsm"),
+        (("localization", "--methods", "x"), ConfigError, "no method 'x'.* dsm"),
         (("localization", "--kitti", "x"), DatasetError, "x: no such folder; --kitti needs"),
         (("localization", "a", "b", "--every", "0"), ConfigError, "--every must be a positive"),
     ],
@@ -59,5 +59,5 @@ def test_all_runs_every_study_and_leaves_out_what_cannot_be(
     monkeypatch.setattr(studies, "run", run)
     evaluate("all", "--out", tmp_path)
     told = capsys.readouterr()
-    assert "memory is left out: measuring memory needs torch" in " ".join(told.err.split())
+    assert "measuring memory needs torch" in " ".join(told.err.split())
     assert done == [name for name in studies.STUDIES if name != "memory"]

@@ -72,7 +72,7 @@ def test_from_recordings_to_scores(recording: Path, tmp_path: Path) -> None:
     assert set(np.unique(dataset.lengths)) == {0.0, 10.0}
     assert len(np.unique(dataset.sessions)) == 2
     shards = {path: path.stat().st_mtime_ns for path in data.glob("*--*")}
-    assert "already there" in run(*arguments)
+    assert "exists" in run(*arguments)
     assert shards == {path: path.stat().st_mtime_ns for path in data.glob("*--*")}
     weights = tmp_path / "dsm.safetensors"
     config = tmp_path / "small.yaml"
@@ -96,7 +96,7 @@ def test_wrong_input(recording: Path, tmp_path: Path) -> None:
         run("train", "extract", recording, "--select", "1", "--select", "2", "--out", data)
     with pytest.raises(DatasetError, match="needs a pose for every scan"):
         run("train", "extract", recording, "--out", data)
-    with pytest.raises(DatasetError, match="there is no index"):
+    with pytest.raises(DatasetError, match="no index.json"):
         load_dataset(tmp_path)
     (tmp_path / INDEX).write_text('{"version": 99}')
     with pytest.raises(DatasetError, match="not an index of format version"):

@@ -64,7 +64,7 @@ def test_a_state_that_is_not_of_this_run_is_refused(
         train(shapes, out, QUICK, progress=quiet)
     for content in (b"", b"nonsense", state.read_bytes()[:-200]):
         state.write_bytes(content)
-        with pytest.raises(DatasetError, match=r"^.*a\.checkpoint: .*; remove it to start anew$"):
+        with pytest.raises(DatasetError, match=r"^.*a\.checkpoint: .*; remove it"):
             train(shapes, out, QUICK, progress=quiet)
 
 
@@ -76,7 +76,7 @@ def test_a_state_that_cannot_be_written(shapes: SegmentDataset, tmp_path: Path) 
 
 def test_a_run_that_diverges_ends(shapes: SegmentDataset, tmp_path: Path) -> None:
     config = QUICK.model_copy(update={"network": "dsm", "learning_rate": 1e30, "warmup": 0})
-    with pytest.raises(ConfigError, match="no usable numbers any more at step 2; try a smaller"):
+    with pytest.raises(ConfigError, match="at step 2; try a smaller"):
         train(shapes, tmp_path / "a.safetensors", config, progress=quiet)
 
 
@@ -147,6 +147,10 @@ def test_a_damaged_shard(folder: Path, tmp_path: Path) -> None:
 
 def test_no_weights(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "text").write_text("no weights")
-    for name, fault in ((folder, "directory"), (tmp_path / "text", "header"), ("x", "no such")):
+    for name, fault in (
+        (folder, "directory"),
+        (tmp_path / "text", "header"),
+        ("x", "neither a file"),
+    ):
         with pytest.raises(WeightsError, match=fault):
             load_descriptor(str(name))

@@ -147,7 +147,7 @@ def opened(path: Path) -> Iterator[TensorFile]:
     if path.is_dir():
         raise WeightsError(f"{path}: is a directory")
     if path.exists() and not path.is_file():  # a pipe might never end
-        raise WeightsError(f"{path}: not a file")
+        raise WeightsError(f"{path}: not a regular file")
     try:
         check_bytes(path.stat().st_size, "a file")
         with tensor_file.open_tensor_file(path) as file:

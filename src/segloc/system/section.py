@@ -99,7 +99,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     try:
         if path.exists() and not path.is_file():
-            raise ConfigError(f"{path}: cannot be read (not a file)")
+            raise ConfigError(f"{path}: not a regular file")
         with path.open(encoding="utf-8") as file:
             text = file.read(_MAX_LENGTH + 1)
     except OSError as error:

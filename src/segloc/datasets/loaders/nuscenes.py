@@ -79,7 +79,7 @@ def find(path: Path, topic: str | None) -> Found:
 def _table(folder: Path, name: str) -> list[Row]:
     path = folder / f"{name}.json"
     if path.exists() and not path.is_file():
-        raise DatasetError(f"{path}: not a file")
+        raise DatasetError(f"{path}: not a regular file")
     try:
         rows = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
