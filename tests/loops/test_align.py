@@ -100,7 +100,7 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
         align_sessions([])
     without = PlazaSequence(plaza, steps=2)
     without.poses = None  # type: ignore[assignment]
-    with pytest.raises(DatasetError, match="session 0: plaza: .*needs odometry"):
+    with pytest.raises(DatasetError, match=r"session 0: plaza: .*needs odometry"):
         align_sessions([without], CONFIG)
     with pytest.raises(DatasetError, match=r"poses of shape \(3, 4, 4\) for 15 scans"):
         Reposed(PlazaSequence(plaza), np.tile(np.eye(4), (3, 1, 1)))

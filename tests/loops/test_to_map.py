@@ -68,7 +68,7 @@ def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: S
     elsewhere = drifted(sample.load("elsewhere"), 4)
     with pytest.raises(MapMismatch, match=r"session 1: elsewhere does not meet the map: 0 of 1. p"):
         align_to_map(prior_map, [drifted(tuesday, 1), elsewhere], CONFIG)
-    with pytest.raises(DatasetError, match="session 0: memory: .*needs odometry"):
+    with pytest.raises(DatasetError, match=r"session 0: memory: .*needs odometry"):
         align_to_map(prior_map, [[tuesday.scan(0).points]], CONFIG)
     with pytest.raises(ConfigError, match="no session"):
         align_to_map(prior_map, [], CONFIG)

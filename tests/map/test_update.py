@@ -82,7 +82,7 @@ def test_what_is_looked_through_is_gone_and_what_is_hidden_is_not() -> None:
 def test_without_poses_there_is_nothing_to_judge() -> None:
     screen = Screen(post=True)
     screen.poses = None  # type: ignore[assignment]
-    with pytest.raises(DatasetError, match="screen: .*needs a pose"):
+    with pytest.raises(DatasetError, match=r"screen: .*needs a pose"):
         visibility(_places(), np.zeros(3), screen)
 
 

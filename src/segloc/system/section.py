@@ -98,14 +98,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
         If the file cannot be read or is not a YAML mapping, or as :func:`parse_yaml`.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ConfigError(f"{path}: not a regular file")
-        with path.open(encoding="utf-8") as file:
-            text = file.read(_MAX_LENGTH + 1)
+        special = path.exists() and not path.is_file()
+        text = ""
+        if not special:
+            with path.open(encoding="utf-8") as file:
+                text = file.read(_MAX_LENGTH + 1)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:  # not UTF-8, or an invalid file name
         raise ConfigError(f"{path}: cannot be read ({error})") from error
+    if special:
+        raise ConfigError(f"{path}: not a regular file")
     values = parse_yaml(text, str(path))
     if values is None:
         return {}

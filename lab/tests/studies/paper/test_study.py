@@ -17,7 +17,7 @@ from segloc.system.processes import in_parallel
 
 @pytest.mark.slow
 def test_a_process_that_the_system_ends_is_one_clear_line() -> None:
-    with pytest.raises(SeglocError, match="memory ran out: .*fewer workers"):
+    with pytest.raises(SeglocError, match=r"memory ran out: .*fewer workers"):
         list(in_parallel(os._exit, [1, 1], 2))
 
 
