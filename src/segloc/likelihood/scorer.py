@@ -84,6 +84,12 @@ class Likelihood:
         known_ratio = float(np.logaddexp(math.log(mapped) + found.log_ratio, off_map))
         return replace(found, known_ratio=known_ratio)
 
+    def segments_decide(self, inliers: int, elsewhere: int) -> bool:
+        """Whether so many more segments agree on a pose than on another that it would be believed
+        against a place that fits as well and that segments did not name."""
+        margin = self.model.margin(inliers, elsewhere) - self.model.unseen
+        return margin >= log_odds(self.config.min_confidence)
+
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """What was measured at a pose, with its log-ratio."""
         return ScoredPose(
@@ -117,16 +123,13 @@ class Scorer:
         self.fits: list[Observation] = []
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
-        """Whether so many more segments agree on one of the candidates than on the others that it
-        would be believed against a place that fits as well and that segments did not name."""
-        return self._margin(candidates) - self._model.unseen >= self._threshold
+        """Whether segments decide for one of the candidates."""
+        return bool(candidates) and self._likelihood.segments_decide(*self._agreeing(candidates))
 
-    def _margin(self, candidates: Sequence[Candidate]) -> float:
-        if not candidates:
-            return -math.inf
+    def _agreeing(self, candidates: Sequence[Candidate]) -> tuple[int, int]:
+        """The most segments that agree on a candidate, and on one elsewhere."""
         best = max(candidates, key=lambda c: c.inliers)
-        elsewhere = self._most_elsewhere(candidates, best.T_map_local)
-        return self._model.margin(best.inliers, elsewhere)
+        return best.inliers, self._most_elsewhere(candidates, best.T_map_local)
 
     def fit(
         self, candidates: Sequence[Candidate], inliers: Inliers, *, thorough: bool = False
@@ -149,7 +152,11 @@ class Scorer:
         ranked = self._map.ranked(candidates, self._query) if candidates else []
         for fit in self.fits:
             fit.inliers = inliers(fit.T_map_local)
-        decisive = not thorough and self._margin(candidates) >= self._threshold
+        decisive = (
+            bool(candidates)
+            and not thorough
+            and self._model.margin(*self._agreeing(candidates)) >= self._threshold
+        )
         if decisive:
             best = min(ranked, key=by_segments)
             fit = self._map.finished(self._measure(best.T_map_local, inliers), self._query)

@@ -11,7 +11,6 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from ..likelihood import Posterior
-from ..likelihood.posterior import log_odds
 from ..localization import Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
@@ -135,11 +134,13 @@ class TileSearch:
         """Yield tiles in which segments agree on poses: by votes, then by all segments."""
         voted = self._voted(found)
         best = max(voted.values(), default=0)
-        strong = [tile for tile, votes in voted.items() if not self._decides(best, votes)][
-            :MAX_VOTED
-        ]
+        strong = [
+            tile
+            for tile, votes in voted.items()
+            if not self._coarse.likelihood.segments_decide(best, votes)
+        ][:MAX_VOTED]
         typical = int(np.median([c.inliers for c in found])) if found else 0
-        if len(strong) == 1 and self._decides(best, typical):
+        if len(strong) == 1 and self._coarse.likelihood.segments_decide(best, typical):
             yield tuple(strong)
         agree: dict[Tile, int] = {}
         for some in (strong, list(voted)[:MAX_VOTED]):
@@ -152,15 +153,13 @@ class TileSearch:
     def _agreeing(self, agree: dict[Tile, int]) -> tuple[Tile, ...]:
         """Return the tiles that segments do not rule out; none if they may agree by chance."""
         best = max(agree.values(), default=0)
-        if not self._decides(best, 0):
+        if not self._coarse.likelihood.segments_decide(best, 0):
             return ()
-        return tuple(tile for tile, count in agree.items() if not self._decides(best, count))
-
-    def _decides(self, inliers: int, elsewhere: int) -> bool:
-        """Return whether segments decide for a pose, given the inliers of another one."""
-        threshold = log_odds(self._coarse.config.verification.min_confidence)
-        model = self._coarse.likelihood.model
-        return model.margin(inliers, elsewhere) - model.unseen >= threshold
+        return tuple(
+            tile
+            for tile, count in agree.items()
+            if not self._coarse.likelihood.segments_decide(best, count)
+        )
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
         """Return the tiles of the poses with most votes in the thin map, best first."""
