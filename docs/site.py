@@ -20,7 +20,7 @@ import segloc
 from segloc.cli import app
 from segloc.config import Config
 from segloc.live.core import StateReason
-from segloc.localization import Reason
+from segloc.localization import Explained, Reason
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
@@ -136,7 +136,7 @@ def messages(page: str) -> str:
     return page
 
 
-def _reason(member: Reason | StateReason) -> str:
+def _reason(member: Explained) -> str:
     return re.sub(r"\{.*?\}", "...", member.value)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from . import geometry
 from .system.above import from_above
@@ -16,22 +16,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class Reason(str, Enum):
-    """Why a query is not localized, with the likely cause and its remedy.
+_E = TypeVar("_E", bound="Explained")
+
+
+class Explained(str, Enum):
+    """Base of reasons: text that comes with the likely cause and its remedy.
 
     Attributes
     ----------
     likely_cause, remedy : str
+
+    Raises
+    ------
+    TypeError
+        If a member is defined without them.
     """
 
     _value_: str
     likely_cause: str
     remedy: str
 
-    def __new__(cls, value: str, likely_cause: str = "", remedy: str = "") -> Reason:
+    def __new__(cls: type[_E], value: str, likely_cause: str = "", remedy: str = "") -> _E:
+        if not (likely_cause and remedy):
+            raise TypeError(f"{value!r} has no cause or no remedy")
         member = str.__new__(cls, value)
         member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
         return member
+
+
+class Reason(Explained):
+    """Why a query is not localized, with the likely cause and its remedy."""
 
     NO_POINTS = (
         "no points",

@@ -7,7 +7,6 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import geometry
 from ..errors import SeglocError
+from ..localization import Explained
 from ..localizer import Localizer
 from ..motion import Motion, at_stamp
 from ..prior import Prior
@@ -28,24 +28,11 @@ from .lidar_odometry import LidarOdometry
 from .odometry import Cover, Jump, Odometry, known_stamp, span
 
 
-class StateReason(str, Enum):
+class StateReason(Explained):
     """Why a robot is not localized, with the likely cause and its remedy.
 
     The value may hold fields: seconds, metres, or the size of a jump.
-
-    Attributes
-    ----------
-    likely_cause, remedy : str
     """
-
-    _value_: str
-    likely_cause: str
-    remedy: str
-
-    def __new__(cls, value: str, likely_cause: str, remedy: str) -> StateReason:
-        member = str.__new__(cls, value)
-        member._value_, member.likely_cause, member.remedy = value, likely_cause, remedy
-        return member
 
     NOTHING_FOUND = "nothing found", "no place is probable yet", "drive some metres"
     NO_AGREEMENT = "no agreement yet", "no place is probable enough yet", "drive some metres"
