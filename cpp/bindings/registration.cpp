@@ -42,20 +42,18 @@ auto normals_(const Surface& surface) {
   return to_numpy(std::move(values), {surface.size(), 3});
 }
 
-// Of at most so many source points, evenly spread: how far each lies off the plane of its nearest
-// target point, and its own normal in the target's frame.
-auto offsets_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
-              std::size_t most) {
+// Of at most so many source points, evenly spread.
+auto on_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
+               double least_slope, double most_slope, double tolerance, std::size_t most) {
   const Rigid T = rigid_of(T_target_source, "T_target_source");
   require(most > 0, "most must be positive");
   const std::size_t step = std::max<std::size_t>(1, (source.size() + most - 1) / most);
-  const std::size_t n = (source.size() + step - 1) / step;
-  std::vector<double> offsets(n), normals(3 * n);
+  OnPlane count{};
   {
     nb::gil_scoped_release release;
-    plane_offsets(target, source, T, step, offsets.data(), normals.data());
+    count = on_plane(target, source, T, step, {least_slope, most_slope}, tolerance);
   }
-  return std::make_tuple(to_numpy(std::move(offsets)), to_numpy(std::move(normals), {n, 3}));
+  return std::make_tuple(count.hits, count.of);
 }
 
 }  // namespace
@@ -77,8 +75,8 @@ void bind_registration(nb::module_& m) {
           nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"))
       .def("__len__", &Surface::size)
       .def("normals", &normals_)
-      .def("offsets", &offsets_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
-           nb::arg("most"))
+      .def("on_plane", &on_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
+           nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("tolerance"), nb::arg("most"))
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("max_iterations") = 20, nb::arg("threads") = 0, nb::arg("max_final") = 6);
 }

@@ -86,27 +86,29 @@ Surface::Normal Surface::found(std::size_t i) const {
   return principal_axes(around.covariance()).least_axis;
 }
 
-void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
-                   double* offsets, double* normals) {
-  for (std::size_t i = 0; i * step < source.size(); ++i) {
-    const PointGrid::Point s = source.grid()[i * step];
+OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
+                 const Slope& slope, double tolerance) {
+  const auto known = [](const Surface::Normal& n) { return n[0] != 0 || n[1] != 0 || n[2] != 0; };
+  OnPlane count{0, 0};
+  for (std::size_t i = 0; i < source.size(); i += step) {
+    const Surface::Normal own = source.normal(i);
+    const double up = std::abs(T.R[6] * own[0] + T.R[7] * own[1] + T.R[8] * own[2]);
+    if (!known(own) || !(up > slope.least && up < slope.most)) continue;
+    const PointGrid::Point s = source.grid()[i];
     const double p[3] = {s[0], s[1], s[2]};
     const auto moved = T.apply(p);
     const Surface::Nearest nearest = target.nearest(
         {static_cast<float>(moved[0]), static_cast<float>(moved[1]), static_cast<float>(moved[2])});
-    const Surface::Normal own = source.normal(i * step);
-    for (std::size_t a = 0; a < 3; ++a) {
-      normals[3 * i + a] = T.R[3 * a] * own[0] + T.R[3 * a + 1] * own[1] + T.R[3 * a + 2] * own[2];
-    }
-    offsets[i] = std::numeric_limits<double>::infinity();
     if (nearest.point == Surface::kNone) continue;
-    const PointGrid::Point t = target.grid()[nearest.point];
     const Surface::Normal n = target.normal(nearest.point);
-    const bool flat = n[0] != 0 || n[1] != 0 || n[2] != 0;
-    offsets[i] = flat ? std::abs(n[0] * (moved[0] - t[0]) + n[1] * (moved[1] - t[1]) +
-                                 n[2] * (moved[2] - t[2]))
-                      : std::numeric_limits<double>::quiet_NaN();
+    if (!known(n)) continue;
+    const PointGrid::Point t = target.grid()[nearest.point];
+    const double off =
+        n[0] * (moved[0] - t[0]) + n[1] * (moved[1] - t[1]) + n[2] * (moved[2] - t[2]);
+    ++count.of;
+    count.hits += std::abs(off) < tolerance;
   }
+  return count;
 }
 
 }  // namespace segloc

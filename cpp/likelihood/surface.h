@@ -53,10 +53,18 @@ class Surface {
   std::unique_ptr<std::atomic<std::uint64_t>[], Free> normals_;
 };
 
-// How far every `step`-th of the points of a source, taken through a transform, lies off the plane
-// of the target's nearest point: infinite where there is none, NaN where that has no normal. And
-// the source's own normals there, (n, 3), turned into the target's frame; zero where there is none.
-void plane_offsets(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
-                   double* offsets, double* normals);
+struct Slope {  // how much of a unit normal points up or down
+  double least, most;
+};
+
+struct OnPlane {
+  std::size_t hits, of;
+};
+
+// Counts every `step`-th point of a source, taken through a transform, whose own normal has there
+// the given slope and whose nearest target point has one, too: all, and those that lie within the
+// tolerance of its plane, metres.
+OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
+                 const Slope& slope, double tolerance);
 
 }  // namespace segloc

@@ -30,23 +30,21 @@ void registration() {
   }
 }
 
-void offsets_across_a_plane() {
+void points_on_a_plane() {
   for (const std::size_t n : kSizes) {
     auto points = random_floats(3 * n, -8.0f, 8.0f, 8);
     for (std::size_t i = 0; i < n; ++i) points[3 * i + 2] = 0.0f;
     const Surface plane(points.data(), n, 1.5, 1.6);
     Rigid raised;
     raised.t = {0.0, 0.0, 0.25};
-    std::vector<double> offsets(n), normals(3 * n);
-    plane_offsets(plane, plane, raised, 1, offsets.data(), normals.data());
-    for (std::size_t i = 0; i < n; ++i) {
-      const double up = std::fabs(normals[3 * i + 2]);
-      CHECK(up == 0.0 || std::fabs(up - 1.0) < 1e-4);
-      CHECK(n < 4000 || std::fabs(offsets[i] - 0.25) < 1e-4);
-    }
+    const Slope level{0.9, 2.0}, steep{-1.0, 0.3};
+    const OnPlane within = on_plane(plane, plane, raised, 1, level, 0.3);
+    CHECK(within.hits == within.of && within.of <= n);
+    CHECK(n < 4000 || within.of > n * 9 / 10);
+    CHECK(on_plane(plane, plane, raised, 1, level, 0.2).hits == 0);
+    CHECK(on_plane(plane, plane, raised, 1, steep, 0.3).of == 0);
     raised.t = {0.0, 0.0, 50.0};
-    plane_offsets(plane, plane, raised, 1, offsets.data(), normals.data());
-    for (const double offset : offsets) CHECK(std::isinf(offset));
+    CHECK(on_plane(plane, plane, raised, 1, level, 0.3).of == 0);
   }
 }
 
@@ -55,5 +53,5 @@ void offsets_across_a_plane() {
 
 void registration_tests() {
   segloc::registration();
-  segloc::offsets_across_a_plane();
+  segloc::points_on_a_plane();
 }

@@ -127,9 +127,15 @@ class Surface:
     ) -> None: ...
     def __len__(self) -> int: ...
     def normals(self) -> NDArray[np.float64]: ...
-    def offsets(
-        self, source: Surface, T_target_source: NDArray[np.float64], most: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+    def on_plane(
+        self,
+        source: Surface,
+        T_target_source: NDArray[np.float64],
+        least_slope: float,
+        most_slope: float,
+        tolerance: float,
+        most: int,
+    ) -> tuple[int, int]: ...
     def align(
         self,
         source: Surface,

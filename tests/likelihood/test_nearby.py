@@ -79,28 +79,29 @@ def test_correlation_counts_cells_that_are_occupied_in_both(seed: int, cell: flo
             assert counts[h, i, j] == sum(theirs.get(key, key[1:] in nothing) for key in moved_on)
 
 
-def test_offsets_are_those_across_the_nearest_surface() -> None:
+def test_points_on_a_plane_are_counted_by_its_slope() -> None:
     rng = np.random.default_rng(0)
-    flat = rng.uniform([-5, -5, 0], [5, 5, 0], (900, 3))
+    ground = rng.uniform([-5, -5, 0], [5, 5, 0], (900, 3))
     wall = rng.uniform([-5, 5, 0], [5, 5, 4], (500, 3))
-    target = _native.Surface(np.float32(np.concatenate([flat, wall])), 1.0, 0.8)
-    source_points = np.float32(rng.uniform([-4, -4, -0.4], [4, 4, 0.4], (300, 3)))
-    source = _native.Surface(source_points, 1.0, 0.8)
-    T = geometry.yaw_transform(0.4, (0.3, 0.1, 0.05))
-    offsets, normals = target.offsets(source, T, 300)
-    moved = geometry.transform(T, source_points)
-    distance = cKDTree(np.concatenate([flat, wall])).query(moved)[0]
-    far = np.isinf(offsets)
-    assert far.sum() == (distance > 1.0).sum()
-    inner = (np.abs(moved[:, :2]) < 4.0).all(axis=1)
-    # The grid's order is its own: compared as sets.
-    expected = np.sort(np.abs(moved[inner, 2]))
-    found = np.sort(offsets[~far])
-    assert all(np.abs(found - value).min() < 0.02 for value in expected)
-    length = np.linalg.norm(normals, axis=1)
-    assert ((np.abs(length - 1.0) < 1e-5) | (length == 0.0)).all()
-    some, their_normals = target.offsets(source, T, 150)  # every other one
-    assert (some == offsets[::2]).all() and (their_normals == normals[::2]).all()
+    points = np.float32(np.concatenate([ground, wall]))
+    target = _native.Surface(points, 1.0, 0.8)
+    # Without noise, and lifted: where a normal is known, all of a surface is equally far off.
+    source = _native.Surface(points, 1.0, 0.8)
+    normals = source.normals()
+    up = np.abs(normals[:, 2])
+    T = geometry.rigid(np.eye(3), (0.0, 0.0, 0.15))
+    level, steep = up > 0.99, (up < 0.3) & normals.any(axis=1)
+    assert level.sum() > 800 and steep.sum() > 350
+    every = len(points)
+    assert target.on_plane(source, T, 0.99, 2.0, 0.1, every)[0] <= 0.02 * level.sum()
+    hits, of = target.on_plane(source, T, 0.99, 2.0, 0.2, every)
+    assert hits >= 0.98 * of and level.sum() >= of >= 0.98 * level.sum()
+    hits, of = target.on_plane(source, T, -1.0, 0.3, 0.1, every)
+    assert hits >= 0.95 * of and steep.sum() >= of >= 0.95 * steep.sum()
+    half = target.on_plane(source, T, 0.99, 2.0, 0.2, every // 2)[1]
+    assert half == pytest.approx(level.sum() / 2, rel=0.1)
+    far = geometry.rigid(np.eye(3), (0.0, 0.0, 9.0))
+    assert target.on_plane(source, far, -1.0, 2.0, 0.2, every) == (0, 0)
 
 
 def hall(first: int = -6, last: int = 6, marked: bool = True, seed: int = 3) -> Float32:
@@ -151,7 +152,7 @@ def test_the_better_pose_nearby_is_judged_instead(alias: tuple[float, float]) ->
 
 def test_where_a_place_repeats_itself_nothing_is_believed() -> None:
     bare, seen = (hall(marked=False, seed=seed) for seed in (3, 4))
-    found = posterior(bare, seen, Candidate(np.eye(4), 8))
+    found = posterior(bare, seen, Candidate(np.eye(4), 6))
     assert found.reason(0.95) in (Reason.AMBIGUOUS, Reason.TOO_UNCERTAIN)
 
 

@@ -170,9 +170,9 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "Surface", Call(lambda **a: _native.Surface(**a).normals(), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
-    offsets = {"source": known, "T_target_source": eye, "most": 100}
-    # Infinite where nothing is near, by contract.
-    yield "Surface.offsets", Call(lambda **a: known.offsets(**a)[1], offsets, frozenset({"source"}))
+    on_plane = {"source": known, "T_target_source": eye, "least_slope": -1.0, "most_slope": 2.0}
+    on_plane |= {"tolerance": 0.1, "most": 100}
+    yield "Surface.on_plane", Call(known.on_plane, on_plane, frozenset({"source"}))
     yield "Surface.align", Call(known.align, align, frozenset({"source"}))
 
 
@@ -340,7 +340,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "VisibilityCheck.count",
         "Surface",
         "Surface.align",
-        "Surface.offsets",
+        "Surface.on_plane",
     ),
     _occupancy: ("PoseSearch", "PoseSearch.search"),
     _descriptors: (

@@ -313,15 +313,21 @@ class MapCloud:
         )
 
     def refined(
-        self, T_map_local: Pose, query: QueryCloud, start: Pose | None = None
+        self,
+        T_map_local: Pose,
+        query: QueryCloud,
+        start: Pose | None = None,
+        *,
+        roughly: bool = True,
     ) -> Observation:
         """Measure a query where the clouds fit best near a pose; at the pose where they do not.
 
-        ICP of some of the points sets out from the pose, and from ``start`` if it is another.
+        ICP sets out from the pose, and from ``start`` if it is another; ``roughly``: with some of
+        the points.
         """
         T = self._relative(T_map_local)
-        found = self._best(T, None if start is None else self._relative(start), query)
-        return self._observed(T, found, query)
+        begin = None if start is None else self._relative(start)
+        return self._observed(T, self._best(T, begin, query, roughly), query)
 
     def finished(self, fit: Observation, query: QueryCloud) -> Observation:
         """A refined candidate after ICP of all points."""
@@ -358,24 +364,26 @@ class MapCloud:
         index, storeyed = self._target.index, self.storeyed
         return visible_counts(index, query.view, T, radius, range_m, sample, storeyed)
 
-    def _best(self, T: Pose, start: Pose | None, query: QueryCloud) -> Registered | None:
+    def _best(
+        self, T: Pose, start: Pose | None, query: QueryCloud, roughly: bool
+    ) -> Registered | None:
         """The better of two alignments, which goes on until it holds still."""
-        found = self._registered(T, T, query)
+        found = self._registered(T, T, query, roughly)
         if start is not None and not np.array_equal(start, T):
-            other = self._registered(start, T, query)
+            other = self._registered(start, T, query, roughly)
             if other is not None and (found is None or other.overlap > found.overlap):
                 found = other
         for _ in range(_MOST_AGAIN):
             if found is None or found.shift_m < _STILL_M:
                 break
-            again = self._registered(found.T_target_source, T, query)
+            again = self._registered(found.T_target_source, T, query, roughly)
             if again is None or again.overlap <= found.overlap:
                 break
             found = again
         return found
 
     def _registered(
-        self, start: Pose, T: Pose, query: QueryCloud, *, roughly: bool = True
+        self, start: Pose, T: Pose, query: QueryCloud, roughly: bool
     ) -> Registered | None:
         """Where the clouds fit best; None where they do not, or ICP has run away from T."""
         if not self._config.refine:
@@ -590,9 +598,8 @@ def flush_count(target: _native.Surface, source: _native.Surface, T: Pose, offse
     offset : float
         Distance from the map's plane below which a point is on it [m].
     """
-    offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
-    wall = (np.abs(normals[:, 2]) < _MAX_WALL_NORMAL_Z) & normals.any(axis=1) & np.isfinite(offsets)
-    return Count(int((offsets[wall] < offset).sum()), int(wall.sum()))
+    wall = -1.0, _MAX_WALL_NORMAL_Z
+    return Count(*target.on_plane(source, T, *wall, offset, _MAX_SURFACE_POINTS))
 
 
 def ground_count(target: _native.Surface, source: _native.Surface, T: Pose) -> Count:
@@ -605,6 +612,5 @@ def ground_count(target: _native.Surface, source: _native.Surface, T: Pose) -> C
     T : (4, 4) float64
         Takes the source to the target.
     """
-    offsets, normals = target.offsets(source, T, _MAX_SURFACE_POINTS)
-    level = (np.abs(normals[:, 2]) > _MIN_GROUND_NORMAL_Z) & np.isfinite(offsets)
-    return Count(int((offsets[level] < _GROUND_TOLERANCE_M).sum()), int(level.sum()))
+    level = _MIN_GROUND_NORMAL_Z, 2.0
+    return Count(*target.on_plane(source, T, *level, _GROUND_TOLERANCE_M, _MAX_SURFACE_POINTS))

@@ -75,7 +75,7 @@ class Likelihood:
 
     def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
         """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
-        fit = self.cloud.finished(self.cloud.refined(T_map_local, query), query)
+        fit = self.cloud.refined(T_map_local, query, roughly=False)
         fit.intruding  # noqa: B018  (measured on first use)
         found = self.scored(fit, self.model.features(fit, [], 0))
         # What lies off the map does not speak against a pose that is known.
@@ -124,12 +124,11 @@ class Scorer:
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
         """Whether segments decide for one of the candidates."""
-        return bool(candidates) and self._likelihood.segments_decide(*self._agreeing(candidates))
-
-    def _agreeing(self, candidates: Sequence[Candidate]) -> tuple[int, int]:
-        """The most segments that agree on a candidate, and on one elsewhere."""
+        if not candidates:
+            return False
         best = max(candidates, key=lambda c: c.inliers)
-        return best.inliers, self._most_elsewhere(candidates, best.T_map_local)
+        elsewhere = self._most_elsewhere(candidates, best.T_map_local)
+        return self._likelihood.segments_decide(best.inliers, elsewhere)
 
     def fit(
         self, candidates: Sequence[Candidate], inliers: Inliers, *, thorough: bool = False
@@ -152,14 +151,11 @@ class Scorer:
         ranked = self._map.ranked(candidates, self._query) if candidates else []
         for fit in self.fits:
             fit.inliers = inliers(fit.T_map_local)
-        decisive = (
-            bool(candidates)
-            and not thorough
-            and self._model.margin(*self._agreeing(candidates)) >= self._threshold
-        )
+        decisive = not thorough and self.segments_decide(candidates)
         if decisive:
             best = min(ranked, key=by_segments)
-            fit = self._map.finished(self._measure(best.T_map_local, inliers), self._query)
+            fit = self._map.refined(best.T_map_local, self._query, roughly=False)
+            fit.inliers = inliers(fit.T_map_local)
             place = self._at_least(fit, ranked)
             if place.log_ratio >= self._threshold:
                 self.fits = [fit]
