@@ -1,10 +1,14 @@
 // Poses from matches.
 #include <algorithm>
 #include <limits>
+#include <utility>
+#include <vector>
 
 #include "bindings/bindings.h"
+#include "bindings/rigid.h"
 #include "common/portability.h"
 #include "common/rigid.h"
+#include "proposals/pose/agreement.h"
 #include "proposals/pose/consensus.h"
 #include "proposals/pose/consistency.h"
 #include "proposals/pose/match_table.h"
@@ -193,9 +197,52 @@ auto consistent_sets_(const In2<double>& query, const In2<double>& map,
                          to_numpy(std::move(offsets)));
 }
 
+Agreement agreement_of(const In2<double>& query, const In2<double>& map,
+                       const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+                       const In1<std::int64_t>& objects, double inlier_tolerance,
+                       double height_tolerance) {
+  require_matches(query, map, match_query, match_map);
+  require(objects.shape(0) == query.shape(0), "objects must have one entry for each query segment");
+  require_between(inlier_tolerance, 0.0, kLongest, "inlier_tolerance");
+  require_between(height_tolerance, 0.0, kLongest, "height_tolerance");
+  const std::size_t count = objects.shape(0);
+  for (std::size_t i = 0; i < count; ++i) {
+    require(objects.data()[i] >= 0 && static_cast<std::size_t>(objects.data()[i]) < count,
+            "objects must be numbers of query segments");
+  }
+  nb::gil_scoped_release release;
+  std::vector<Agreement::Match> matches(match_query.shape(0));
+  for (std::size_t k = 0; k < matches.size(); ++k) {
+    const std::int64_t row = match_query.data()[k];
+    std::copy_n(query.data() + 3 * row, 3, matches[k].from);
+    std::copy_n(map.data() + 3 * match_map.data()[k], 3, matches[k].to);
+    matches[k].object = static_cast<std::size_t>(objects.data()[row]);
+  }
+  return {std::move(matches), count, {inlier_tolerance, height_tolerance}};
+}
+
 }  // namespace
 
 void bind_pose(nb::module_& m) {
+  nb::class_<Agreement>(m, "Agreement")
+      .def(
+          "__init__",
+          [](Agreement* self, const In2<double>& query, const In2<double>& map,
+             const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
+             const In1<std::int64_t>& objects, double inlier_tolerance, double height_tolerance) {
+            new (self) Agreement(agreement_of(query, map, match_query, match_map, objects,
+                                              inlier_tolerance, height_tolerance));
+          },
+          nb::arg("query").noconvert(), nb::arg("map").noconvert(),
+          nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
+          nb::arg("objects").noconvert(), nb::arg("inlier_tolerance"), nb::arg("height_tolerance"))
+      .def(
+          "count",
+          [](const Agreement& self, const In2<double>& T_map_local) {
+            return self.count(rigid_of(T_map_local, "T_map_local"));
+          },
+          nb::arg("T_map_local").noconvert());
+
   m.def("consensus", &consensus_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
         nb::arg("inlier_tolerance"), nb::arg("height_tolerance"), nb::arg("distinct_radius"),

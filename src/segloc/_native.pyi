@@ -47,6 +47,20 @@ def pose_votes(
     max_cells: int,
     threads: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float, float]: ...
+
+class Agreement:
+    def __init__(
+        self,
+        query: NDArray[np.float64],
+        map: NDArray[np.float64],
+        match_query: NDArray[np.int64],
+        match_map: NDArray[np.int64],
+        objects: NDArray[np.int64],
+        inlier_tolerance: float,
+        height_tolerance: float,
+    ) -> None: ...
+    def count(self, T_map_local: NDArray[np.float64]) -> int: ...
+
 def consensus(
     query: NDArray[np.float64],
     map: NDArray[np.float64],

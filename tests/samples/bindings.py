@@ -142,7 +142,12 @@ def _poses() -> Iterator[tuple[str, Call]]:
     }
     yield "prosac", Call(_native.prosac, prosac)
     matches = _matches()
-    consistency = matches | {"objects": np.arange(len(matches["query"]), dtype=np.int64)}
+    objects = matches | {"objects": np.arange(len(matches["query"]), dtype=np.int64)}
+    agreement = objects | {"inlier_tolerance": 0.6, "height_tolerance": 1.0}
+    yield "Agreement", Call(lambda **a: _native.Agreement(**a).count(np.eye(4)), agreement)
+    count = _native.Agreement(**agreement).count
+    yield "Agreement.count", Call(count, {"T_map_local": np.eye(4)})
+    consistency = objects.copy()
     consistency |= {"resolution": 0.4, "min_size": 4, "max_sets": 4}
     yield "consistent_sets", Call(_native.consistent_sets, consistency)
 
@@ -329,7 +334,14 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "VoxelWindow.move",
         "VoxelWindow.cloud",
     ),
-    _poses: ("consensus", "pose_votes", "prosac", "consistent_sets"),
+    _poses: (
+        "Agreement",
+        "Agreement.count",
+        "consensus",
+        "pose_votes",
+        "prosac",
+        "consistent_sets",
+    ),
     _clouds: (
         "PointIndex",
         "PointIndex.overlap",

@@ -258,8 +258,8 @@ class Scorer:
 
     def _most_elsewhere(self, candidates: Sequence[Candidate], T: Pose) -> int:
         """The most inliers of any candidate at another place."""
-        apart = self._apart
-        return max([0, *(c.inliers for c in candidates if apart(c.T_map_local, T))])
+        by_inliers = sorted(candidates, key=lambda c: -c.inliers)
+        return next((c.inliers for c in by_inliers if self._apart(c.T_map_local, T)), 0)
 
     def _scored(self, fit: Observation, unknown: Count) -> ScoredPose:
         apart, T = self._apart, fit.T_map_local

@@ -223,15 +223,15 @@ def _along(path: Float64, width: float, reach: float) -> NDArray[np.int32]:
     """Windows of that width within reach of a path of (V, 2) places."""
     steps = int(np.ceil(reach / width))
     around = np.mgrid[-steps : steps + 1, -steps : steps + 1].reshape(2, -1).T
-    stations = np.unique(cells_of(path, width), axis=0)
-    windows = np.unique((stations[:, None] + around).reshape(-1, 2), axis=0)
+    stations = distinct(cells_of(path, width))
+    windows = distinct((stations[:, None] + around).reshape(-1, 2))
     gap, _ = nearest_of(path, (windows + 0.5) * width)
     return _int32(windows[gap < reach + 0.71 * width])
 
 
 def _under(cloud: Float32, width: float) -> NDArray[np.int32]:
     """Windows of that width that any point lies in."""
-    return _int32(np.unique(cells_of(cloud[:, :2], width), axis=0))
+    return _int32(distinct(cells_of(cloud[:, :2], width)))
 
 
 def _int32(cells: Int64) -> NDArray[np.int32]:
@@ -369,7 +369,7 @@ def free_cells(
     """
     within = config.range_m - config.cell
     near = ground[np.hypot(ground[:, 0], ground[:, 1]) < min(FREE_RADIUS_M, within), :2]
-    cells = np.unique(cells_of(near, config.cell), axis=0)
+    cells = distinct(cells_of(near, config.cell))
     if not len(cells):
         return cells, np.empty(0, np.uint8)
     reach = int(np.ceil(within / config.cell)) + 1
@@ -468,6 +468,11 @@ def keys_of(cells: Int64) -> Int64:
     """One number for each of (N, 2) cells, in the order of x and y."""
     keys: Int64 = cells[:, 0] * (1 << 32) + cells[:, 1]
     return keys
+
+
+def distinct(cells: Int64) -> Int64:
+    """Each of (N, 2) cells once, in the order of x and y."""
+    return cells[np.unique(keys_of(cells), return_index=True)[1]]
 
 
 def cells_of(points: NDArray[np.floating[Any]], width: float) -> Int64:

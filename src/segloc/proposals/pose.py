@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -11,8 +12,6 @@ from .. import _native
 from ..geometry import Separation
 from ..system.section import Section
 from ..types import Candidate, Float64, Int64, Matches, Pose
-
-_MAX_KEY = 65_535
 
 
 class ConsistencyConfig(Section):
@@ -66,60 +65,6 @@ class PoseConfig(Section):
     max_candidates: int = Field(8, ge=1, le=1000, description="candidates handed to verification")
 
 
-class Agreement:
-    """How many distinct segments of a query agree with a pose that was not estimated of them.
-
-    Parameters
-    ----------
-    query : (P, 3) float64
-        Segment centroids of the query cloud, local frame (z up).
-    map_centroids : (M, 3) float64
-        Segment centroids of the map, map frame (z up).
-    matches : Matches
-    config : PoseConfig
-    """
-
-    def __init__(
-        self, query: Float64, map_centroids: Float64, matches: Matches, config: PoseConfig
-    ) -> None:
-        x = map_centroids[matches.map, 0]
-        self._low = float(x.min()) if len(x) else 0.0
-        self._step = max(float(np.ptp(x)) / _MAX_KEY, 1e-9) if len(x) else 1.0
-        keys = ((x - self._low) / self._step).astype(np.uint16)
-        order = np.argsort(keys, kind="stable")  # a radix sort of 16 bits
-        rows, columns = matches.query[order], matches.map[order]
-        self._keys = keys[order]
-        self._from = np.ascontiguousarray(query[rows].T)
-        self._to = np.ascontiguousarray(map_centroids[columns].T)
-        self._objects = _objects(query, config.distinct_radius)[rows]
-        farthest = float(np.linalg.norm(query, axis=1).max()) if len(query) else 0.0
-        self._reach_m = 1.001 * farthest + config.inlier_tolerance
-        self._config = config
-
-    def __call__(self, T_map_local: Pose) -> int:
-        """Distinct objects with a match that fits the pose."""
-        config, near = self._config, self._within_reach(T_map_local[0, 3])
-        off = [self._off(T_map_local[axis], axis, near) for axis in (0, 1)]
-        fits = np.flatnonzero(off[0] ** 2 + off[1] ** 2 < config.inlier_tolerance**2) + near.start
-        level = np.abs(self._off(T_map_local[2], 2, fits)) < config.height_tolerance
-        return len(set(self._objects[fits[level]].tolist()))
-
-    def _within_reach(self, x: float) -> slice:
-        """Rows of the matches whose map segment the query can reach along the x axis."""
-        ends = [(x + reach - self._low) / self._step for reach in (-self._reach_m, self._reach_m)]
-        low, high = np.clip([np.floor(ends[0]) - 1, np.ceil(ends[1]) + 1], 0, _MAX_KEY)
-        return slice(
-            int(np.searchsorted(self._keys, np.uint16(low), side="left")),
-            int(np.searchsorted(self._keys, np.uint16(high), side="right")),
-        )
-
-    def _off(self, row: Float64, axis: int, some: Int64 | slice) -> Float64:
-        """By how much some of the matches miss along an axis, by its row of the pose."""
-        x, y, z = self._from[:, some]
-        moved: Float64 = row[0] * x + row[1] * y + row[2] * z + row[3]
-        return self._to[axis, some] - moved
-
-
 def _objects(centroids: Float64, radius: float) -> Int64:
     """The object of each of (P, 3) segments: one with the first that is so near, seen from above.
 
@@ -164,9 +109,22 @@ class PoseEstimator:
         poses, inliers = self._find(query, map_centroids, matches)
         return [Candidate(T, int(n)) for T, n in zip(poses, inliers, strict=True)]
 
-    def agreement(self, query: Float64, map_centroids: Float64, matches: Matches) -> Agreement:
-        """How many segments agree with any pose; parameters are those of :meth:`estimate`."""
-        return Agreement(query, map_centroids, matches, self.config)
+    def agreement(
+        self, query: Float64, map_centroids: Float64, matches: Matches
+    ) -> Callable[[Pose], int]:
+        """What counts the objects of a query that agree with a pose T_map_local.
+
+        Parameters are those of :meth:`estimate`.
+        """
+        return _native.Agreement(
+            query,
+            map_centroids,
+            matches.query,
+            matches.map,
+            _objects(query, self.config.distinct_radius),
+            inlier_tolerance=self.config.inlier_tolerance,
+            height_tolerance=self.config.height_tolerance,
+        ).count
 
     def _consensus(
         self, query: Float64, map_centroids: Float64, matches: Matches
