@@ -1,10 +1,11 @@
-"""The front half of a query, gravity to description, against another installed version in turns.
+"""A query and its front half, gravity to description, against another installed version in turns.
 
-    python -m segloc_lab.bench.frontend [--data FOLDER] [--against PYTHON] [--repeats 20]
+    python -m segloc_lab.bench.versions [--data FOLDER] [--against PYTHON] [--repeats 20]
 
 Both versions run in processes of their own, one scan after the other in turns, on one thread, and
-report the processor time of each stage. ``--against`` is the interpreter of an environment that
-has the other version of segloc. Scans of ``--data`` are real where it has them, else simulated.
+report the processor time of each stage, and of whole queries that are found in a map or refused.
+``--against`` is the interpreter of an environment that has the other version of segloc. Scans of
+``--data`` are real where it has them, else simulated.
 """
 
 from __future__ import annotations
@@ -20,15 +21,19 @@ from pathlib import Path
 
 import numpy as np
 
+from segloc import SegmentMap
+from segloc.map import DEFAULT_METHOD
 from segloc.types import Float32
 
+from ..padding import padded_with_copies
 from ..report import parser
+from .query import MAP_SEGMENTS, simulated_scene
 
 OURS = "this"
-_WORKER = Path(__file__).with_name("frontend_worker.py")
+_WORKER = Path(__file__).with_name("versions_worker.py")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BANDWIDTH_BYTES = 1 << 26
-_SCANS = 4
+_SCANS, _QUERIES = 4, 12
 
 
 class Worker:
@@ -49,24 +54,34 @@ class Worker:
 
 
 @contextmanager
-def worker(python: str) -> Iterator[Worker]:
+def worker(python: str, prior_map: Path | None = None) -> Iterator[Worker]:
     """Start a worker; its imports are those of its interpreter alone."""
     environment, pipe = {**os.environ, **_ONE_THREAD}, subprocess.PIPE
-    command = [python, "-I", str(_WORKER)]
+    command = [python, "-I", str(_WORKER), *([] if prior_map is None else [str(prior_map)])]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
         yield Worker(python, process)
         assert process.stdin is not None
         process.stdin.close()
 
 
+Times = dict[str, list[float]]
+"""Milliseconds of each stage, run by run."""
+
+
 def in_turns(
-    pythons: dict[str, str], scans: Sequence[Float32], repeats: int
-) -> dict[str, dict[str, float]]:
-    """Median milliseconds of each stage by version, the versions in turns scan by scan."""
-    times: dict[str, dict[str, list[float]]] = {name: {} for name in pythons}
+    pythons: dict[str, str],
+    scans: Sequence[Float32],
+    repeats: int,
+    prior_map: SegmentMap | None = None,
+) -> dict[str, Times]:
+    """Time each stage by version, or whole queries in a map; versions in turns scan by scan."""
+    times: dict[str, Times] = {name: {} for name in pythons}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        workers = {name: stack.enter_context(worker(each)) for name, each in pythons.items()}
+        where = None if prior_map is None else folder / "a.segmap"
+        if prior_map is not None and where is not None:
+            prior_map.save(where)
+        workers = {name: stack.enter_context(worker(each, where)) for name, each in pythons.items()}
         paths = [folder / f"{i}.npy" for i in range(len(scans))]
         for path, points in zip(paths, scans, strict=True):
             np.save(path, points)
@@ -77,10 +92,7 @@ def in_turns(
                 for name, each in workers.items():
                     for stage, ms in each.measure(path).items():
                         times[name].setdefault(stage, []).append(ms)
-    return {
-        name: {stage: statistics.median(ms) for stage, ms in stages.items()}
-        for name, stages in times.items()
-    }
+    return times
 
 
 def copy_gb_s() -> float:
@@ -136,8 +148,32 @@ def sensors(data: Path | None) -> dict[str, list[Float32]]:
     return found
 
 
+def scene_of(data: Path | None, segments: int) -> tuple[SegmentMap, list[Float32]]:
+    """A map of so many segments, and single scans of it and of other places."""
+    if data and (data / "kitti00").is_dir():
+        from .kitti_query import kitti_scene
+
+        scene = kitti_scene(data / "kitti00", DEFAULT_METHOD, _QUERIES)
+    else:
+        scene = simulated_scene(1, queries=_SCANS)
+    queries = [*(scan for scan, _ in scene.queries), *scene.elsewhere]
+    return padded_with_copies(scene.prior_map, segments), [query.points for query in queries]
+
+
+def show(found: dict[str, Times]) -> None:
+    """Print the median and the 95th percentile of each stage, and their ratios to the other's."""
+    for stage, ms in found[OURS].items():
+        ours = np.percentile(ms, (50, 95))
+        line = f"  {stage:<24}{ours[0]:9.2f}{ours[1]:9.2f}"
+        if stage in found.get("other", {}):
+            other = np.percentile(found["other"][stage], (50, 95))
+            line += f"{other[0]:9.2f}{other[1]:9.2f}  ratio{ours[0] / other[0]:6.2f}"
+        print(line, flush=True)
+
+
 def main() -> None:
     parsed = parser(__doc__)
+    parsed.add_argument("--segments", type=int, default=MAP_SEGMENTS, help="of the map")
     parsed.add_argument("--data", type=Path)
     parsed.add_argument("--against", metavar="PYTHON", help="interpreter of the other version")
     parsed.add_argument("--repeats", type=int, default=20)
@@ -151,11 +187,10 @@ def main() -> None:
         points = statistics.median(len(each) for each in scans)
         bound_ms = 12.0 * points / rate / 1e6
         print(f"\n{name}: {points:.0f} points, one pass over them {bound_ms:.3f} ms")
-        found = in_turns(pythons, scans, options.repeats)
-        for stage, ms in found[OURS].items():
-            other = found.get("other", {}).get(stage)
-            beside = "" if other is None else f"{other:9.2f} {ms / other:7.2f}"
-            print(f"  {stage:<24}{ms:9.2f}{beside}")
+        show(in_turns(pythons, scans, options.repeats))
+    prior_map, queries = scene_of(options.data, options.segments)
+    print(f"\nQueries in a map of {len(prior_map)} segments")
+    show(in_turns(pythons, queries, options.repeats, prior_map))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""Time the front half of a query on scans that are named on stdin: a script for any version.
+"""Time queries of the scans that are named on stdin: a script for any version of segloc.
 
-    python -m segloc_lab.bench.frontend_worker < FILES
+    python -m segloc_lab.bench.versions_worker [MAP] < FILES
 
 It imports nothing but ``segloc``, so that it runs with whatever version an interpreter has. Each
-line of stdin is a file of points; each line of stdout has the processor time of its stages.
+line of stdin is a file of points; each line of stdout has the processor time of its stages up to
+the descriptors or, in a map, of the whole query by how it ended.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import argparse
 import importlib
 import sys
 import time
+from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,11 +78,29 @@ def measure(path: str) -> dict[str, float]:
     return {**dict(zip(STAGES, ms, strict=True)), "all": sum(ms[2:])}
 
 
+def in_map(path: Path) -> Callable[[str], dict[str, float]]:
+    """What localizes a scan in a map, and times that."""
+    config = segloc.Config.preset("profile").model_copy(update={"threads": 1})
+    localizer = segloc.Localizer(segloc.SegmentMap.load(path), config)
+
+    def localize(name: str) -> dict[str, float]:
+        query = scan(name)[0]
+        start = time.process_time()
+        answer = localizer.localize(query)
+        ms = 1e3 * (time.process_time() - start)
+        return {"found" if answer.localized else "refused": ms}
+
+    return localize
+
+
 def main() -> None:
     shown = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=__doc__, formatter_class=shown).parse_args()
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=shown)
+    options.add_argument("map", type=Path, nargs="?")
+    prior_map = options.parse_args().map
+    timed = measure if prior_map is None else in_map(prior_map)
     for line in sys.stdin:
-        found = measure(line.strip())
+        found = timed(line.strip())
         print(";".join(f"{stage}={ms:.6f}" for stage, ms in found.items()), flush=True)
 
 
