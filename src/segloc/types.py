@@ -48,7 +48,7 @@ class Scan:
     points : (M, 3) float32, C-contiguous
         The usable points. The others are dropped with their times.
     dropped : int
-        Number of points with a coordinate that is NaN, infinite, or beyond ``MOST_METRES``.
+        Number of points with a coordinate that is NaN, infinite, or beyond ``MAX_METRES``.
     missing_returns : int
         Number of points that stand for firings without a return: many on one spot, or many at one
         range.
@@ -331,7 +331,7 @@ class Segments:
     Raises
     ------
     InvalidScan
-        If shapes do not fit, or a value is not finite or beyond ``MOST_LOCAL_METRES``; names the
+        If shapes do not fit, or a value is not finite or beyond ``MAX_LOCAL_METRES``; names the
         field and the row.
     """
 
@@ -351,7 +351,7 @@ class Segments:
         heights = checks.checked_rows(self.heights, "heights", (count,), np.float32)
         checked = {"points": points, "offsets": offsets, "centroids": centroids, "heights": heights}
         for name, rows in checked.items():
-            checks.check_finite(rows, name, checks.MOST_LOCAL_METRES)  # whole numbers pass
+            checks.check_finite(rows, name, checks.MAX_LOCAL_METRES)  # whole numbers pass
             object.__setattr__(self, name, rows)
 
     def __len__(self) -> int:

@@ -32,19 +32,19 @@ def leaning(recording: Recording, T_odom_world: Float64) -> Reposed:
 
 
 def tilt_of(recording: Recording) -> Tilt:
-    tilt = frame_tilt(recording, CONFIG)
-    assert tilt is not None
-    return tilt
+    found = frame_tilt(recording, CONFIG)
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (-3.0, 2.0), (15.0, 20.0)])
 def test_a_leaning_frame_is_noticed(plaza: Plaza, angles: tuple[float, float]) -> None:
     T = tilt(*angles)
-    tilt = tilt_of(leaning(PlazaSequence(plaza), T))
-    assert angle_deg(tilt.up, T[:3, :3] @ Z) < 0.1
-    assert tilt.is_significant == any(angles)
+    found = tilt_of(leaning(PlazaSequence(plaza), T))
+    assert angle_deg(found.up, T[:3, :3] @ Z) < 0.1
+    assert found.is_significant == any(angles)
     again = tilt_of(leaning(PlazaSequence(plaza), T))
-    np.testing.assert_array_equal(again.up, tilt.up)
+    np.testing.assert_array_equal(again.up, found.up)
 
 
 @pytest.mark.parametrize("slope_deg", [12.0])
@@ -88,8 +88,8 @@ def test_sweeps_are_gathered_until_they_show_walls(plaza: Plaza) -> None:
     way = Sweeps(plaza, steps=120)
     way.poses = np.stack([geometry.yaw_transform(0.1, (-14 + 0.3 * k, 0, 1.8)) for k in range(120)])
     T = tilt(5.0)
-    tilt = tilt_of(leaning(way, T))
-    assert tilt.is_significant and angle_deg(tilt.up, T[:3, :3] @ Z) < 0.5
+    found = tilt_of(leaning(way, T))
+    assert found.is_significant and angle_deg(found.up, T[:3, :3] @ Z) < 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -100,12 +100,12 @@ def test_levelling_turns_as_little_as_it_can_about_the_first_pose(seed: int) -> 
     )
     up = rng.normal(size=3)
     up /= np.linalg.norm(up)
-    tilt = Tilt(up, 0.1)
-    T = level_transform(tilt, T_odom_first)
+    found = Tilt(up, 0.1)
+    T = level_transform(found, T_odom_first)
     np.testing.assert_allclose(T[:3, :3] @ up, Z, atol=1e-12)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose((T @ T_odom_first)[:3, 3], T_odom_first[:3, 3], atol=1e-12)
-    assert abs(np.degrees(geometry.rotation_angle(T)) - tilt.tilt_deg) < 1e-9
+    assert abs(np.degrees(geometry.rotation_angle(T)) - found.tilt_deg) < 1e-9
     np.testing.assert_array_equal(level_transform(Tilt(Z, 0.0), np.eye(4)), np.eye(4))
 
 

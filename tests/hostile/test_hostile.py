@@ -28,7 +28,7 @@ TESTS = Path(__file__).resolve().parents[1]
 
 def environment() -> dict[str, str]:
     paths = [str(TESTS), *filter(None, sys.path)]
-    limits = {"SEGLOC_MAX_POINTS": str(files.MOST_POINTS), "OPENBLAS_NUM_THREADS": "1"}
+    limits = {"SEGLOC_MAX_POINTS": str(files.MAX_POINTS), "OPENBLAS_NUM_THREADS": "1"}
     return {**os.environ, **limits, "PYTHONPATH": os.pathsep.join(paths)}
 
 
@@ -115,7 +115,7 @@ def test_what_the_command_line_says(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("SEGLOC_MAX_POINTS", str(files.MOST_POINTS))
+    monkeypatch.setenv("SEGLOC_MAX_POINTS", str(files.MAX_POINTS))
     status, said = run(*item.make(tmp_path)), capsys.readouterr().err
     lines = [line for line in said.splitlines() if "segloc: note" not in line]
     assert status == bool(item.says), said

@@ -20,7 +20,7 @@ from .local_cloud import Accumulator, LocalCloudConfig, odometry_pose
 
 VOXEL_SIZE = 0.2
 """Edge of the lattice, metres: that of the voxel grid in which accumulated clouds are segmented."""
-MOST_SCANS = 4096
+MAX_SCANS = 4096
 """Scans held at once; the oldest are dropped, as of a robot at rest with ``min_step_m`` 0."""
 
 
@@ -118,7 +118,7 @@ class RollingCloud:
                 self._window.clear()
             elif len(steps) > 1 and steps[-2] < self.min_step_m:
                 self._window.drop(len(self) - 1)
-            elif len(self) >= MOST_SCANS:
+            elif len(self) >= MAX_SCANS:
                 self._window.drop(0)
             self._window.push(self._added, scan, T)
             self._added += 1

@@ -38,7 +38,7 @@ class StateReason(Explained):
     NO_AGREEMENT = "no agreement yet", "no place is probable enough yet", "drive some metres"
     SEVERAL_PLACES = "several places fit", "places look alike", "drive some metres"
     UNSUPPORTED = (
-        "nothing supports the track since {metres:.0f} m",
+        "no view supports the track for {metres:.0f} m",
         "the robot left the map, or the place has changed",
         "drive back into the map",
     )
@@ -251,7 +251,9 @@ class LiveCore:
             If it cannot be made.
         """
         near = near or pending.near
-        return self.tracker.ask(pending.request, self.config.deadline_ms, near=near, heard=callback)
+        return self.tracker.ask(
+            pending.request, self.config.deadline_ms, near=near, callback=callback
+        )
 
     def answer(self, pending: PendingQuery, view: View | None) -> State:
         """Apply the result of a query; None if it could not be made."""
@@ -344,7 +346,7 @@ class LiveCore:
         self.dropped += len(self._waiting)
         self._waiting.clear()
         self._due = None
-        self.tracker.carry(jump.T_new_old, jump.text)
+        self.tracker.follow_jump(jump.T_new_old, jump.text)
         return [self._report(self._odometry.newest)]
 
     def _set_clock(self, now: float) -> None:

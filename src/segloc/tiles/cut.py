@@ -21,7 +21,7 @@ from ..types import Float64
 from .index import (
     FORMAT_VERSION,
     INDEX,
-    MOST_INDEX_BYTES,
+    MAX_INDEX_BYTES,
     Tile,
     TileFile,
     TileIndex,
@@ -150,7 +150,7 @@ def publish(store: Store, index: TileIndex) -> None:
     """
     named = set(_named(index))
     with suppress(OSError, MapFormatError):
-        named.update(_named(TileIndex.parse(store.read(INDEX, MOST_INDEX_BYTES), store.where)))
+        named.update(_named(TileIndex.parse(store.read(INDEX, MAX_INDEX_BYTES), store.where)))
     store.write(INDEX, index.model_dump_json(indent=1).encode())
     for name in store.names():
         ours = name.endswith(".segmap") and name.startswith(("tile_", "coarse-"))

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from ..errors import MapFormatError
 from ..prior import Prior
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..system.section import Section
 from ..types import Float64
 
@@ -20,7 +20,7 @@ INDEX = "tiles.json"
 FORMAT_VERSION = 1
 """To be increased when older readers would misread newer files."""
 
-MOST_INDEX_BYTES = 64_000_000
+MAX_INDEX_BYTES = 64_000_000
 _MAX_FILE_BYTES = 1 << 36
 _DIGEST = r"^[0-9a-f]{32}$"
 _NAME = r"^[a-z0-9_.-]{1,100}$"  # restricts untrusted indices to files beside them
@@ -77,8 +77,8 @@ class TileIndex(Section):
     """
 
     version: int = Field(ge=1)
-    size_m: float = Field(gt=0, le=MOST_METRES)
-    margin_m: float = Field(ge=0, le=MOST_METRES)
+    size_m: float = Field(gt=0, le=MAX_METRES)
+    margin_m: float = Field(ge=0, le=MAX_METRES)
     descriptor: str = Field(max_length=1000)
     fingerprint: str = Field(max_length=1000)
     coarse: TileFile
