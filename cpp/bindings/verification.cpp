@@ -10,7 +10,7 @@
 namespace segloc::bindings {
 namespace {
 
-// A point where the index has none around counts as `unmapped` of one that is near.
+// A point in unmapped space counts `unmapped` of a point with a neighbour.
 auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
               double radius, double unmapped) {
   require_points(points);

@@ -1,4 +1,4 @@
-// LZF streams of any content: the size asked for is the first two bytes.
+// LZF streams of any content; the first two bytes are the requested size.
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>

@@ -1,4 +1,4 @@
-// A cloud as a surface: its points, and the normals of what they lie on.
+// A cloud as a surface: its points and their normals.
 #pragma once
 
 #include <array>
@@ -13,9 +13,9 @@
 
 namespace segloc {
 
-// A normal takes longer to find than a point, and an alignment needs few of a large map's: each is
-// computed when it is first needed, and kept. It depends on the points alone, so it does not matter
-// who needs it first, and several threads may call at once.
+// A normal takes longer to find than a point, and an alignment needs few of a large map: each is
+// computed on first use, and cached. It depends on the points alone, so the order of calls does not
+// matter, and several threads may call at once.
 class Surface {
  public:
   using Normal = std::array<double, 3>;
