@@ -18,7 +18,9 @@ constexpr std::size_t kGroup = 63;  // cells whose counts add up to a byte
 constexpr int kLayers = 8;
 constexpr double kLayer = 1.0;    // metres
 constexpr double kBelow = 3.0;    // of the lowest layer's bottom, under the sensor, metres
-constexpr double kBetween = 0.3;  // metres from its edge: a map point there fills the next layer too
+constexpr double kBetween = 0.3;  // metres from its edge: a point fills the next layer, too
+
+// -1 for all that is lower, kLayers for all that is higher.
 int layer_of(double above) {
   const double layer = std::clamp((above + kBelow) / kLayer, -1.0, double(kLayers));
   return static_cast<int>(floor_of(layer));
