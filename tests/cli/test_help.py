@@ -65,8 +65,8 @@ def test_every_verb_on_a_recording_takes_a_part_of_it(name: str, command: Any) -
 def test_defaults_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     """Also those that are no value: brackets in a help text would be taken for markup."""
     assert run("localize", "--help") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "[default: (its own)]" in said and "[default: (all)]" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "[default: (its own)]" in output and "[default: (all)]" in output
 
 
 def loaded(*words: str) -> set[str]:

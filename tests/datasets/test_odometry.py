@@ -143,8 +143,8 @@ def test_verbs_take_a_bag_without_poses(
     path = simulated.bag("ros1", tmp_path, posed=False)
     prior_map = tmp_path / "site.segmap"
     assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
-    said = capsys.readouterr().err
-    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in said
+    output = capsys.readouterr().err
+    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in output
     options = ["--method", "geo", "--every", "10", "--threads", "1"]
     assert (
         segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0

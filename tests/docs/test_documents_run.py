@@ -184,10 +184,10 @@ def check(each: Code, capsys: pytest.CaptureFixture[str], done: set[str]) -> Non
     if text in done:
         return
     status = run(*arguments(text))
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     allowed = (0, 1) if FINDS_FAULTS.match(text) else (0,)
-    assert status in allowed, f"{each.place}: {text}\n{said.err[-2000:]}"
-    assert "segloc: error" not in said.err, f"{each.place}: {text}\n{said.err[-2000:]}"
+    assert status in allowed, f"{each.place}: {text}\n{output.err[-2000:]}"
+    assert "segloc: error" not in output.err, f"{each.place}: {text}\n{output.err[-2000:]}"
     done.add(text)
 
 

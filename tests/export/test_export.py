@@ -246,7 +246,7 @@ def test_what_makes_no_sense_is_one_clear_line(
     make_map().save(tmp_path / "site.segmap")
     site, found = tmp_path / "site.segmap", results(tmp_path / "found", True)
     (tmp_path / "empty").mkdir()
-    for source, to, said in (
+    for source, to, expected in (
         (site, "g2o", "needs results of `segloc align`, and this is a map"),
         (site, "loops", "needs results of `segloc align`, and this is a map"),
         (found, "pcd", "needs a map, and this is results of `segloc localize` or `segloc live`"),
@@ -259,7 +259,7 @@ def test_what_makes_no_sense_is_one_clear_line(
         assert run("export", source, "--to", to, "--out", tmp_path / "out") == 1
         error = capsys.readouterr().err
         assert error.startswith("segloc: error: ") and error.count("\n") == 1
-        assert said in error, error
+        assert expected in error, error
         assert not (tmp_path / "out").exists()
     assert run("export", site, "--to", "ply", "--out", tmp_path / "site.ply") == 0
     with pytest.raises(ConfigError, match="exclude each other"):

@@ -45,7 +45,7 @@ class Hostile:
     name: str
     how: str
     make: Callable[[Path], object]
-    says: str = ""
+    expected: str = ""
     may_be_read: bool = False
 
     def write(self, folder: Path) -> Path:
@@ -61,16 +61,16 @@ class Command:
 
     name: str
     make: Callable[[Path], list[str]]
-    says: str
+    expected: str
 
 
 HOSTILE: list[Hostile] = []
 
 
-def add(how: str, name: str, make: Callable[[Path], object] | bytes, says: str = "",
+def add(how: str, name: str, make: Callable[[Path], object] | bytes, expected: str = "",
         may_be_read: bool = False) -> None:  # fmt: skip
     write = (lambda path: path.write_bytes(make)) if isinstance(make, bytes) else make
-    HOSTILE.append(Hostile(name, how, write, says, may_be_read))
+    HOSTILE.append(Hostile(name, how, write, expected, may_be_read))
 
 
 def sparse(size: int) -> Callable[[Path], None]:
@@ -507,8 +507,8 @@ for name, change in {
     "infinite": {"sample_data": b'[{"timestamp": 1e999}]'}, "noise": {"scene": b"\xff\xfe"},
 }.items():  # fmt: skip
     posed = "ego_pose" in change  # the scans are read, and a note says that poses are not used
-    says = "not used" if posed else f"nuscenes-{name}"
-    add("sequence", f"nuscenes-{name}", tables(**change), says, posed)
+    expected = "not used" if posed else f"nuscenes-{name}"
+    add("sequence", f"nuscenes-{name}", tables(**change), expected, posed)
 
 
 def changed(

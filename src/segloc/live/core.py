@@ -67,7 +67,7 @@ class StateReason(Explained):
         "clocks differ, or messages are late",
         "compare stamps",
     )
-    REJECTED = "scan rejected: {error}", "the scan is invalid, as the error says", "fix the driver"
+    REJECTED = "scan rejected: {error}", "the scan is invalid; see the error", "fix the driver"
     NO_SCAN = (
         "no scan for {seconds:.1f} s",
         "scans are missing",
@@ -112,8 +112,8 @@ class LiveCore:
     localizer : Localizer
     config : LiveConfig, optional
     T_base_sensor : (4, 4) array, optional
-        How the sensor is mounted on the base that odometry is of; by default as
-        ``local_cloud.mount`` says, and else the sensor is the base.
+        Mount of the sensor on the base of the odometry; by default ``local_cloud.mount``, or else
+        the sensor is the base.
     lidar_odometry : bool
         Compute the odometry from the scans, by KISS-ICP; none is to be added then.
     keeper : PoseKeeper, optional

@@ -45,9 +45,9 @@ def build_map(
     Parameters
     ----------
     scans : Recording, or list of Scan or of (N, >=3) arrays
-        With poses that define the map frame, whose z axis must point up. If it clearly does not,
-        ``metadata["frame"]`` says so; with ``config.mapping.level`` the poses are turned first, as
-        recorded in ``metadata["T_map_odom"]``.
+        Scans with poses that define the map frame, whose z axis must point up. A significant tilt
+        is noted in ``metadata["frame"]``. With ``config.mapping.level`` the poses are levelled, and
+        ``metadata["T_map_odom"]`` holds the transform.
     config : BuildConfig, optional
         Also a :class:`segloc.Config`; by default that of the default method.
     poses : (K, 4, 4) array, optional
