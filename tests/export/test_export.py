@@ -21,6 +21,7 @@ from segloc.export.tracks import Place
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
 from segloc.loops import AlignConfig, Alignment
 from segloc.loops.loops import Loop
+from segloc.loops.summary import RECORD
 from segloc.types import Descriptors, Float64
 
 
@@ -186,6 +187,7 @@ def test_loops_are_told_between_scans(tmp_path: Path, aligned: tuple[Path, Align
     export(path, "loops", tmp_path / "loops.jsonl")
     (line,) = (tmp_path / "loops.jsonl").read_text().splitlines()
     loop = json.loads(line)
+    assert list(loop) == list(RECORD)
     assert (loop["target_session"], loop["target_scan"]) == (0, 12)
     assert (loop["source_session"], loop["source_scan"]) == (1, 2)
     assert len((path / "loops.jsonl").read_text().splitlines()) == 2

@@ -28,6 +28,16 @@ _OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionEr
 """Errors of NumPy and the networks for invalid contents; TypeError: an unknown dtype."""
 
 
+FIELDS = {
+    "format": "`segloc` and the kind",
+    "version": f"`{_VERSION}`",
+    "settings": "JSON object of text to text: all that determines the result beside the tensors",
+    "card": "JSON object: data, command, figures, licence",
+    "sha256": "hash of settings and tensors, as hexadecimal digits",
+}
+"""Text fields of ``__metadata__`` and their meaning."""
+
+
 @dataclass(frozen=True)
 class WeightFile:
     """Contents of a weights file.

@@ -44,31 +44,23 @@ _SEEN, _INTRUDING = 0.75, 0.02
 
 
 class Model(Section):
-    """Log-ratio of a pose: a weighted sum of its features.
+    """Log-ratio of a pose: a weighted sum of its features."""
 
-    Attributes
-    ----------
-    weights : dict of str to float
-        Weights by the names of :data:`FEATURES`; no unit, natural logarithms.
-    none : float
-        The score of "not in this map".
-    unseen : float
-        Log-probability that a place without segment matches fits as well as the best one.
-    lapse : float
-        Probability of a query unlike all queries of the fit.
-    settings : dict
-        Configuration of the fit.
-    card : dict
-        Data, command, figures and reliability of the fit.
-    """
-
-    format: int = Field(ge=4, le=4)
-    weights: Mapping[str, float]
-    none: float
-    unseen: float
-    lapse: float = Field(ge=0, lt=1)
-    settings: Mapping[str, Any] = {}
-    card: Mapping[str, Any]
+    format: int = Field(ge=4, le=4, description="format version")
+    weights: Mapping[str, float] = Field(
+        description="weight of each feature; natural logarithms, no unit"
+    )
+    none: float = Field(description='score of "not in this map"')
+    unseen: float = Field(
+        description="log-probability that a place without segment matches fits as well as the best"
+    )
+    lapse: float = Field(
+        ge=0, lt=1, description="probability of a query unlike all queries of the fit"
+    )
+    settings: Mapping[str, Any] = Field(
+        {}, description="configuration of the fit; other values are a note of a localizer"
+    )
+    card: Mapping[str, Any] = Field(description="data, command, figures and reliability of the fit")
 
     def log_ratio(self, features: Sequence[float]) -> float:
         """Return the log-ratio of a pose against "not in this map", by :meth:`features`."""

@@ -403,6 +403,25 @@ class LiveCore:
         return np.asarray((grown + grown.T) / 2.0, dtype=np.float64)
 
 
+RECORD = {
+    "index": "number of the scan",
+    "stamp": "time of the scan [s]; null if the recording has none",
+    "state": "`lost`, `candidate`, `localized` or `degraded`",
+    "reason": "why it is not localized; empty when localized",
+    "T_map_odom": "4 rows of 4 numbers, or null; the odometry's frame begins at the first scan, "
+    "level, and heads along x",
+    "T_map_base": "4 rows of 4 numbers, or null; the base is the sensor",
+    "covariance": "6 rows of 6 numbers, or null: covariance of `T_map_base`, of a small rotation "
+    "[rad], then a translation [m], both in the base's frame",
+    "confidence": "probability of the most probable place, 0 to 1",
+    "views": "independent views that support it",
+    "travelled_m": "distance by the odometry",
+    "answered": "clock at the scan of the query that this state answers, or null",
+    "latency_ms": "time from the arrival of that scan to this state",
+}
+"""Keys of a line of ``states.jsonl`` and their meaning."""
+
+
 @dataclass(frozen=True)
 class State:
     """Pose estimate of a robot.

@@ -33,6 +33,22 @@ _COLUMNS = [
     "after_deg",
     "weight",
 ]
+RECORD = {
+    "target_session": "number of the target session, from 0",
+    "target_scan": "number of the target scan",
+    "source_session": "number of the source session, from 0",
+    "source_scan": "number of the source scan",
+    "T_target_source": "4 rows of 4 numbers: sensor at the source scan to that at the target scan",
+    "covariance": "6 rows of 6 numbers: of a small rotation [rad], then a translation [m], in the "
+    "source sensor's frame",
+    "kind": "`found` by localization, or `dense`: neighbours after the first optimisation",
+    "inliers": "distinct segments that agree with the pose; 0 for dense loops",
+    "shared": "overlap of the clouds, 0 to 1",
+    "accepted": "true or false",
+    "reason": "why it is rejected; empty if accepted",
+    "weight": "weight in the last optimisation",
+}
+"""Keys of a line of ``loops.jsonl`` and their meaning."""
 _WIDTH_IN, _HEIGHT_IN, _DPI = 12.0, 5.5, 110
 _ACROSS = "loop across sessions"
 _WITHIN = "loop within a session"
