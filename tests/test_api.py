@@ -97,7 +97,7 @@ def test_a_map_of_nothing_and_a_prior_beside_the_map_are_told(
     localizer: Localizer, prior_map: SegmentMap, points: Any
 ) -> None:
     far = localizer.localize(points, near=((4000.0, 0.0), 10.0))
-    assert re.search(r"the map is 39\d\d m from there, it spans x -", far.message), far.message
+    assert re.search(r"the map is 39\d\d m from there and spans x -", far.message), far.message
     nothing = prior_map.crop((4000.0, 0.0), 50.0)
     empty = Localizer(nothing, CONFIG).localize(points)
     assert empty.message == "no matches (the map has no segments, and 0 points)"
