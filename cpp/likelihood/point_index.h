@@ -17,7 +17,7 @@ class PointIndex {
   PointIndex(const float* points, std::size_t n, double radius);
 
   struct Overlap {
-    std::size_t judged = 0;    // compared points: no higher than the indexed ones around them
+    std::size_t compared = 0;    // compared points: no higher than the indexed ones around them
     std::size_t near = 0;      // those with an indexed point within the radius
     double squared_sum = 0;    // of the distances of the latter
     std::size_t unmapped = 0;  // points with no indexed ones around them at any height

@@ -83,7 +83,7 @@ def test_numbers_that_are_no_times_stay_numbers(
 
 @pytest.mark.parametrize("scale", [1.0, 1e3, 1e6, 1e9])
 def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) -> None:
-    """As many as there are scans are theirs in this order; others are of no use, which is said."""
+    """As many as there are scans are theirs in this order; others are ignored with a note."""
     scans = folder(tmp_path / "run", [f"{k:04}" for k in range(COUNT)])
     poses = tmp_path / "odometry.tum"
     stamps = [float(scale * (1_700_000_000 + t)) for t in STEPS]

@@ -1,4 +1,4 @@
-"""A simulated drive as a folder and as bags, its odometry, and what `segloc info` says of it."""
+"""A simulated drive as a folder and as bags, its odometry, and the output of `segloc info`."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ FEWER = (
 """Likewise in Python."""
 
 FINDS_FAULTS = re.compile(r"segloc doctor")
-"""May end with 1: it says what is wrong."""
+"""May end with 1: it reports faults."""
 
 
 class Item(NamedTuple):
@@ -115,7 +115,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def done() -> set[str]:
-    """Commands that ran: what another page says again is not run again."""
+    """Commands that ran: repetitions on other pages are skipped."""
     return set()
 
 

@@ -1,4 +1,4 @@
-"""The notebook runs from its first cell to its last, and finds what it says."""
+"""The notebook runs from its first cell to its last, with the results in its text."""
 
 from __future__ import annotations
 

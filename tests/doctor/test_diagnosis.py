@@ -1,4 +1,4 @@
-"""What is wrong with a recording is named, and nothing is said of those that are right."""
+"""Faults of a recording are named; correct recordings have none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POINTS: dict[str, tuple[Points, Fault, str]] = {
     "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: set how"),
     "ground": (lambda p: p[p[:, 2] < -1.7], Fault.ONLY_GROUND, "nothing but ground in view"),
 }
-"""Of each wrong way to write points: from right ones, what it is found as, and what is said."""
+"""Faulty points by name: how they are made, their fault, and its message."""
 
 
 def scalar_first(poses: Float64) -> Float64:

@@ -119,7 +119,7 @@ def test_autoware_gets_tiles_that_hold_each_point_once(tmp_path: Path) -> None:
 
 
 def g2o_of(path: Path) -> tuple[dict[int, Float64], list[tuple[int, int, Float64, Float64]]]:
-    """Vertices and edges, read as g2o's documentation says, by hand."""
+    """Vertices and edges, read by g2o's documentation, by hand."""
 
     def pose(words: list[str]) -> Float64:
         x, y, z, *q = map(float, words)

@@ -36,8 +36,8 @@ class Hostile:
         It is opened as; see ``hostile.opened``.
     make : callable
         Writes it at a path; returns another path where that is to be opened.
-    says : str
-        A pattern in what is said of it.
+    expected : str
+        Pattern of the error.
     may_be_read : bool
         Whether it may turn out to be a scan after all.
     """
@@ -435,7 +435,7 @@ add("sequence", "connections.bag", ros1_index(3, 1), "share an id")
 
 
 def lying_mcap(path: Path) -> None:
-    """A chunk of zstd that holds more than its record says, in a file without an index."""
+    """A chunk of zstd that holds more than its record declares, in a file without an index."""
     bag("mcap", "STORAGE", LARGE)(path)
     file = next(path.glob("*.mcap"))
     data = bytearray(file.read_bytes())
@@ -506,7 +506,7 @@ for name, change in {
     "far": {"ego_pose": mended(translation=[1e12, 0, 0])}, "null": {"sample_data": b"null"},
     "infinite": {"sample_data": b'[{"timestamp": 1e999}]'}, "noise": {"scene": b"\xff\xfe"},
 }.items():  # fmt: skip
-    posed = "ego_pose" in change  # the scans are read, and a note says that poses are not used
+    posed = "ego_pose" in change  # the scans are read, with a note that poses are not used
     expected = "not used" if posed else f"nuscenes-{name}"
     add("sequence", f"nuscenes-{name}", tables(**change), expected, posed)
 
