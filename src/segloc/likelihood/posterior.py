@@ -48,7 +48,8 @@ class ScoredPose:
     known_ratio: float = 0.0
 
     def __str__(self) -> str:
-        return f"overlap {self.overlap:.2f} and {self.inliers} inliers"
+        plural = "" if self.inliers == 1 else "s"
+        return f"overlap {self.overlap:.2f} and {self.inliers} inlier{plural}"
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,10 @@ class Posterior:
             return str(Reason.NO_CONSISTENT_MATCHES)
         if reason is Reason.AMBIGUOUS:
             return ambiguous_with(self.places[1].T_map_local)
-        elsewhere = f", elsewhere {self.places[1]}" if len(self.places) > 1 else ""
+        runner_up = f", runner-up {self.places[1]}" if len(self.places) > 1 else ""
         if reason is Reason.NOT_IN_MAP:
-            return f"{reason} (probability {floored(self.not_in_map)}): {best}{elsewhere}"
-        return f"{reason.below(self.confidence, min_confidence)}: {best}{elsewhere}"
+            return f"{reason} (probability {floored(self.not_in_map)}): {best}{runner_up}"
+        return f"{reason.below(self.confidence, min_confidence)}: {best}{runner_up}"
 
 
 def log_odds(probability: float) -> float:
