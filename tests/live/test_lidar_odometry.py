@@ -50,5 +50,5 @@ def test_a_robot_without_odometry_is_followed_by_its_lidar(plaza: Plaza) -> None
         if states[-1].localized:
             assert error_m(states[-1], truth) < 0.5
     assert states[-1].localized and core.dropped == 0
-    core.doubt("lifted")
+    core.report_lost_motion("lifted")
     assert core.state.reason or not core.state.localized

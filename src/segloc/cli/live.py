@@ -158,7 +158,7 @@ def _teller(recording: Scans) -> OnState:
 
     last: list[str] = []
 
-    def heard(position: int, state: State) -> None:
+    def on_state(position: int, state: State) -> None:
         if last and last[0] == state.status.value:
             return
         last[:] = [state.status.value]
@@ -168,7 +168,7 @@ def _teller(recording: Scans) -> OnState:
         path = f"{state.travelled_m:.1f} m"
         say(f"scan {recording.indices[position]}, {path}: {state.status}{where}{why}")
 
-    return heard
+    return on_state
 
 
 def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[str, bytes]:

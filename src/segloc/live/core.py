@@ -268,7 +268,7 @@ class LiveCore:
         self._asked_at, self._due = -math.inf, None
         return self._report(self.state.stamp)
 
-    def doubt(self, why: str) -> State:
+    def report_lost_motion(self, why: str) -> State:
         """Report that the odometry has lost an unknown motion without a jump of its poses."""
         return self._jumped(Jump(np.eye(4), why))[0]
 
@@ -287,7 +287,7 @@ class LiveCore:
         for time, T in self._lidar_odometry.add(scan, stamp):
             states += self.add_odometry(time, T)
         if self._lidar_odometry.losses > lost:
-            states.append(self.doubt(self._lidar_odometry.fault))
+            states.append(self.report_lost_motion(self._lidar_odometry.fault))
         return states
 
     def _release(self, now: float) -> list[State]:

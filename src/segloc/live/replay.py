@@ -290,7 +290,7 @@ def summary(
     kinds = [state.status for state in states]
     steps = np.diff([state.travelled_m for state in states], prepend=0.0)
     fixes = [k for k, kind in enumerate(kinds) if kind is Status.LOCALIZED]
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "scans": replay.scans,
         "dropped": replay.dropped,
         "travelled_m": round(float(steps.sum()), 3),
@@ -303,11 +303,11 @@ def summary(
         "false_m": None,
     }
     if truths is None:
-        return told
+        return facts
     metres, degrees = pose_errors(replay, truths)
     false = (metres > tolerance_m) | (degrees > tolerance_deg)
     sure = np.array([kind is Status.LOCALIZED for kind in kinds], dtype=bool)
-    return told | {
+    return facts | {
         "false_m": round(float(steps[false].sum()), 3),
         "false_localized_m": round(float(steps[false & sure].sum()), 3),
         "translation_error_m": _spread(metres[sure]),

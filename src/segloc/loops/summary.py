@@ -121,9 +121,9 @@ def _size(residual: Float64) -> tuple[float, float]:
 
 def summary(alignment: Alignment) -> dict[str, Any]:
     """Return counts and residuals as JSON values."""
-    accepted = [loop for loop in alignment.loops if loop.accepted]
+    loops = [loop for loop in alignment.loops if loop.accepted]
     across = alignment.loop_sessions[:, 0] != alignment.loop_sessions[:, 1]
-    believed = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
+    accepted = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
     return {
         "sessions": [
             {"name": name, "scans": len(poses), "file": f"session_{k}.tum", "component": c}
@@ -133,14 +133,14 @@ def summary(alignment: Alignment) -> dict[str, Any]:
         ],
         "components": alignment.components,
         "loops": {
-            "accepted": int(believed.sum()),
-            "accepted_across_sessions": int((believed & across).sum()),
-            "rejected": int((~believed).sum()),
-            "found": sum(loop.kind == "found" for loop in accepted),
-            "dense": sum(loop.kind == "dense" for loop in accepted),
+            "accepted": int(accepted.sum()),
+            "accepted_across_sessions": int((accepted & across).sum()),
+            "rejected": int((~accepted).sum()),
+            "found": sum(loop.kind == "found" for loop in loops),
+            "dense": sum(loop.kind == "dense" for loop in loops),
         },
-        "residual_before": _spread([loop.before for loop in accepted]),
-        "residual_after": _spread([loop.after for loop in accepted]),
+        "residual_before": _spread([loop.before for loop in loops]),
+        "residual_after": _spread([loop.after for loop in loops]),
     }
 
 
