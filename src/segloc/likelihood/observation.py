@@ -322,8 +322,8 @@ class MapCloud:
     ) -> Observation:
         """Measure a query at the best alignment near a pose, or at the pose if ICP fails.
 
-        ICP sets out from the pose, and from ``start`` if it is another; ``roughly``: with some of
-        the points.
+        ICP starts from the pose, and from ``start`` if it differs; ``roughly`` uses some of the
+        points.
         """
         T = self._relative(T_map_local)
         begin = None if start is None else self._relative(start)
@@ -367,7 +367,7 @@ class MapCloud:
     def _best(
         self, T: Pose, start: Pose | None, query: QueryCloud, roughly: bool
     ) -> Registered | None:
-        """The better of two alignments, which goes on until it holds still."""
+        """Return the better of two alignments, repeated until it converges."""
         found = self._registered(T, T, query, roughly)
         if start is not None and not np.array_equal(start, T):
             other = self._registered(start, T, query, roughly)

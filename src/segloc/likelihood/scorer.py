@@ -74,7 +74,7 @@ class Likelihood:
         return Scorer(self, query, allowed)
 
     def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
-        """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
+        """Align and measure a query at a known pose, without search, segments and runner-up."""
         fit = self.cloud.refined(T_map_local, query, roughly=False)
         fit.intruding  # noqa: B018  (measured on first use)
         found = self.scored(fit, self.model.features(fit, [], 0))
@@ -123,7 +123,7 @@ class Scorer:
         self.fits: list[Observation] = []
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
-        """Whether segments decide for one of the candidates."""
+        """Return whether segment matches decide for one of the candidates."""
         if not candidates:
             return False
         best = max(candidates, key=lambda c: c.inliers)
@@ -256,7 +256,7 @@ class Scorer:
             self.fits = [f for f in self.fits if f not in same] + [fit]
 
     def _most_elsewhere(self, candidates: Sequence[Candidate], T: Pose) -> int:
-        """The most inliers of any candidate at another place."""
+        """Return the most inliers of any candidate at another place."""
         by_inliers = sorted(candidates, key=lambda c: -c.inliers)
         return next((c.inliers for c in by_inliers if self._apart(c.T_map_local, T)), 0)
 

@@ -235,8 +235,8 @@ def _windows_along(path: Float64, width: float, reach: float) -> NDArray[np.int3
     return _int32(windows[gap < reach + 0.71 * width])
 
 
-def _under(cloud: Float32, width: float) -> NDArray[np.int32]:
-    """Windows of that width that any point lies in."""
+def _windows_under(cloud: Float32, width: float) -> NDArray[np.int32]:
+    """Return the windows that contain a point."""
     return _int32(distinct(cells_of(cloud[:, :2], width)))
 
 
@@ -477,7 +477,7 @@ def keys_of(cells: Int64) -> Int64:
 
 
 def distinct(cells: Int64) -> Int64:
-    """Each of (N, 2) cells once, in the order of x and y."""
+    """Return the distinct cells of (N, 2), in the order of x and y."""
     return cells[np.unique(keys_of(cells), return_index=True)[1]]
 
 

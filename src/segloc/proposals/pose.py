@@ -115,9 +115,9 @@ class PoseEstimator:
     def agreement(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> Callable[[Pose], int]:
-        """What counts the objects of a query that agree with a pose T_map_local.
+        """Return a counter of the objects of a query that agree with a pose T_map_local.
 
-        Parameters are those of :meth:`estimate`.
+        Parameters as :meth:`estimate`.
         """
         return _native.Agreement(
             query,
