@@ -10,21 +10,29 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import typer
+from pydantic import BaseModel
 
 import segloc
+from segloc.batch import score
 from segloc.cli import app
 from segloc.config import Config
+from segloc.descriptors import weightfile
+from segloc.export.formats import FORMATS
+from segloc.likelihood.model import Model
+from segloc.live import core, replay
 from segloc.live.core import StateReason
 from segloc.localization import Explained, Reason
+from segloc.loops import summary
+from segloc.map import file as mapfile
+from segloc.tiles.index import Tile, TileIndex
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
-MESSAGES = ROOT / "docs" / "reference" / "messages.md"
 SOURCE = ROOT / "build" / "site" / "source"
 """Copy of the package with the roles of its docstrings resolved, for the page of the API."""
 MOVED = {
@@ -122,22 +130,61 @@ def api() -> str:
     return "# Python\n\nThe public names of `import segloc`.\n" + "".join(sections)
 
 
-def messages(page: str) -> str:
-    """Return the page of messages with the tables of reasons, which are members of enums."""
-    for name, reasons in (("reasons", Reason), ("states", StateReason)):
-        head = "| reason | likely cause | remedy |\n|---|---|---|\n"
-        rows = "".join(
-            f"| {_reason(one)} | {one.likely_cause} | {one.remedy} |\n" for one in reasons
-        )
-        mark = f"<!-- table of {name} -->\n"
-        if mark not in page:
-            raise SystemExit(f"docs/reference/messages.md: no line {mark.strip()!r}")
-        page = page.replace(mark, head + rows)
-    return page
+def filled(page: str) -> str:
+    """Return a page with the tables that its lines ``<!-- table of NAME -->`` name."""
+    return MARK.sub(lambda match: table(match[1]), page)
 
 
-def _reason(member: Explained) -> str:
-    return re.sub(r"\{.*?\}", "...", member.value)
+def table(name: str) -> str:
+    """Return a generated table in Markdown."""
+    head, rows = TABLES[name]
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def _reasons(members: Iterable[Explained]) -> list[tuple[str, ...]]:
+    return [(re.sub(r"\{.*?\}", "...", m.value), m.likely_cause, m.remedy) for m in members]
+
+
+def _keys(meanings: Mapping[str, str]) -> list[tuple[str, ...]]:
+    return [(f"`{name}`", meaning) for name, meaning in meanings.items()]
+
+
+def _fields(model: type[BaseModel]) -> list[tuple[str, ...]]:
+    fields = model.model_fields.items()
+    return _keys({name: info.description or "" for name, info in fields})
+
+
+def _tensors() -> list[tuple[str, ...]]:
+    rows = []
+    for name, (dtype, shape, meaning) in mapfile.SCHEMA.items():
+        lengths = ", ".join(map(str, shape)) + "," * (len(shape) == 1)
+        rows.append((f"`{name}`", dtype, f"({lengths})", meaning))
+    return rows
+
+
+_REASON, _KEY = ("reason", "likely cause", "remedy"), ("key", "meaning")
+TABLES: dict[str, tuple[tuple[str, ...], list[tuple[str, ...]]]] = {
+    "reasons": (_REASON, _reasons(Reason)),
+    "states": (_REASON, _reasons(StateReason)),
+    "map tensors": (("tensor", "dtype", "shape", "meaning"), _tensors()),
+    "map fields": (_KEY, _keys(mapfile.FIELDS)),
+    "tiles": (_KEY, _fields(TileIndex)),
+    "tile": (_KEY, _fields(Tile)),
+    "weights fields": (_KEY, _keys(weightfile.FIELDS)),
+    "posterior": (_KEY, _fields(Model)),
+    "localizations": (_KEY, _keys(score.RECORD)),
+    "localize summary": (_KEY, _keys(score.SUMMARY)),
+    "live states": (_KEY, _keys(core.RECORD)),
+    "live summary": (_KEY, _keys(replay.SUMMARY)),
+    "loops": (_KEY, _keys(summary.RECORD)),
+    "export formats": (
+        ("format", "source", "output"),
+        [(f"`{name}`", kind.required, kind.text) for name, kind in FORMATS.items()],
+    ),
+}
+"""Head and rows of the tables that are generated from the code, by name."""
+MARK = re.compile(r"<!-- table of ([a-z ]+) -->\n")
 
 
 def resolved(text: str) -> str:
@@ -172,8 +219,7 @@ def main() -> None:
     for source, goal in places.items():
         goal.parent.mkdir(parents=True, exist_ok=True)
         if source.suffix == ".md":
-            text = source.read_text("utf-8")
-            text = messages(text) if source == MESSAGES else text
+            text = filled(source.read_text("utf-8"))
             goal.write_text(relinked(text, source, places), "utf-8")
         else:
             shutil.copy(source, goal)

@@ -97,8 +97,8 @@ def write(folder: Path, wrong: Wrong) -> None:
         write_tum(folder / "poses.tum", Trajectory(np.arange(len(walk)), wrong.poses(walk.poses)))
 
 
-def said(*arguments: object) -> tuple[int, str]:
-    """Exit status of a verb, and all that it said."""
+def output_of(*arguments: object) -> tuple[int, str]:
+    """Return the exit status of a verb and its output."""
     text = io.StringIO()
     with redirect_stdout(text), redirect_stderr(text):
         status = run(*arguments)
@@ -117,20 +117,20 @@ class Row(NamedTuple):
 
 
 def rows(work: Path) -> Iterator[Row]:
-    """What is wrong, and what is said of it."""
+    """Return the table of faults and their messages."""
     prior_map = work / "site.segmap"
     write(work / "right", Wrong("nothing"))
-    said("map", "build", work / "right", "--poses", "poses.tum", "--out", prior_map)
+    output_of("map", "build", work / "right", "--poses", "poses.tum", "--out", prior_map)
     for k, wrong in enumerate(WRONG):
         write(work / str(k), wrong)
         poses = ["--poses", "poses.tum"] if wrong.posed else []
-        status, text = said("doctor", work / str(k), *poses)
+        status, text = output_of("doctor", work / str(k), *poses)
         wrongs = [line for line in text.splitlines() if line.startswith("problem: ")]
         if len(wrongs) != 1:
             raise SystemExit(f"{wrong.what}: one sentence must name it, not {wrongs}")
         building = ["map", "build", work / str(k), *poses, "--out", work / "wrong.segmap"]
         asking = ["localize", work / str(k), *poses, "--map", prior_map]
-        heard = {"map build": said(*building), "localize": said(*asking)}
+        heard = {"map build": output_of(*building), "localize": output_of(*asking)}
         also = [
             f"`segloc {verb}` ({code})"
             for verb, (code, told) in heard.items()
@@ -159,7 +159,7 @@ def _other_places(work: Path) -> Iterator[Row]:
         ("a map of another place merged", "map merge", [first, second, "--out", out]),
         ("a map updated with another place", "map update", [second, *session]),
     ):
-        status, text = said(*verb.split(), *given)
+        status, text = output_of(*verb.split(), *given)
         yield Row(what, verb, status, text.strip().splitlines()[-1].replace(f"{work}/", ""))
 
 

@@ -73,7 +73,7 @@ def test_answers_and_maps_are_drawn(
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "expected"),
     [
         (
             lambda p: 1000 * p,
@@ -87,17 +87,17 @@ def test_answers_and_maps_are_drawn(
     ],
 )
 def test_scans_of_which_nothing_is_left_say_why(
-    localizer: Localizer, points: Any, change: Any, says: str
+    localizer: Localizer, points: Any, change: Any, expected: str
 ) -> None:
     result = localizer.localize(change(points))
-    assert re.search(says, result.message), result.message
+    assert re.search(expected, result.message), result.message
 
 
 def test_a_map_of_nothing_and_a_prior_beside_the_map_are_told(
     localizer: Localizer, prior_map: SegmentMap, points: Any
 ) -> None:
     far = localizer.localize(points, near=((4000.0, 0.0), 10.0))
-    assert re.search(r"the map is 39\d\d m from there, it spans x -", far.message), far.message
+    assert re.search(r"the map is 39\d\d m from there and spans x -", far.message), far.message
     nothing = prior_map.crop((4000.0, 0.0), 50.0)
     empty = Localizer(nothing, CONFIG).localize(points)
     assert empty.message == "no matches (the map has no segments, and 0 points)"
@@ -105,5 +105,5 @@ def test_a_map_of_nothing_and_a_prior_beside_the_map_are_told(
 
 def test_why_queries_fail_is_found_from_scans_in_memory(localizer: Localizer, points: Any) -> None:
     camera = points[:, [1, 2, 0]] * [-1, -1, 1]
-    said = hint([camera], [localizer.localize(camera)])
-    assert said is not None and "a camera's (x right, y down, z forward)" in said
+    output = hint([camera], [localizer.localize(camera)])
+    assert output is not None and "a camera's (x right, y down, z forward)" in output

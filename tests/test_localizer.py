@@ -300,8 +300,8 @@ def test_nothing_more_is_tried_after_the_deadline(prior_map: SegmentMap) -> None
     describing, matching, verifying = 4, 3, 1  # stages, each of which takes a second
     everything = describing + 2 * matching + 2 + verifying  # two proposers
     at_once = describing + matching + verifying
-    asked = {None: everything, 1e9: everything, 0.0: at_once, 10.5e3: everything - 1}
-    for deadline_ms, seconds in asked.items():
+    requested = {None: everything, 1e9: everything, 0.0: at_once, 10.5e3: everything - 1}
+    for deadline_ms, seconds in requested.items():
         found = localizer.localize(elsewhere, deadline_ms=deadline_ms)
         assert not found.localized and found.times_ms["total"] == 1e3 * seconds
 

@@ -1,4 +1,4 @@
-"""The recorded sample: the same points everywhere, and what its README says of the drives."""
+"""The recorded sample: the same points everywhere, and the drives of its README."""
 
 from __future__ import annotations
 

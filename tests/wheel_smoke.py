@@ -96,7 +96,7 @@ def check_sample() -> None:
 
 
 def refuses(method: str) -> None:
-    """A method that is there to be compared with says what brings its weights."""
+    """A method for comparison names the package of its weights."""
     try:
         _ = create(method).pruner
     except WeightsError as error:

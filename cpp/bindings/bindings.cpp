@@ -1,4 +1,4 @@
-// The Python module: one function for each room of the library.
+// The Python module: one function per folder of the library.
 #include "bindings/bindings.h"
 
 #include "common/parallel.h"

@@ -40,7 +40,7 @@ inline void require(bool condition, const std::string& message) {
 
 // Squares of larger values would overflow.
 constexpr float kLargest = 1e15f;
-// Prepared segments, which are centred, may be a little larger than the points they came from.
+// Prepared segments are centred, so they may be slightly larger than their points.
 constexpr float kLargestPrepared = 1e16f;
 
 inline void require_usable(const float* values, std::size_t count, const char* name,
@@ -61,14 +61,14 @@ inline std::string number_text(double value) {
   return text;
 }
 
-// NaN lies nowhere.
+// NaN has no position.
 inline void require_between(double value, double low, double high, const char* name) {
   require(value >= low && value <= high, std::string(name) + " must be from " + number_text(low) +
                                              " to " + number_text(high) + ", not " +
                                              number_text(value));
 }
 
-// Radii, edges and tolerances, in metres: shorter or longer ones measure nothing.
+// Limits of radii, edges and tolerances [m].
 constexpr double kShortest = 1e-6, kLongest = 1e9;
 inline void require_length(double metres, const char* name) {
   require_between(metres, kShortest, kLongest, name);

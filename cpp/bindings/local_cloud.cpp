@@ -9,7 +9,7 @@
 namespace segloc::bindings {
 namespace {
 
-// Threads that share one take turns.
+// Thread-safe: calls take turns.
 struct BoundWindow {
   BoundWindow(double voxel_size, double reach) : window(voxel_size, reach) {}
 
@@ -66,7 +66,7 @@ Out<float> moved_crop_(const In2<float>& points, const In2<double>& T, double ra
   return to_numpy(std::move(kept), {count, 3});
 }
 
-// A number that is read while no other thread changes it.
+// A number read under the lock.
 template <std::size_t (VoxelWindow::*Number)() const>
 std::size_t number_(BoundWindow& self) {
   nb::gil_scoped_release release;

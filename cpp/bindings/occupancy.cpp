@@ -1,4 +1,4 @@
-// The map from above, and where a query fits it.
+// Occupancy search of a query in a map.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -10,7 +10,7 @@
 namespace segloc::bindings {
 namespace {
 
-// A map from above and the places at which a sensor may be.
+// The occupancy of a map and the search area of the sensor.
 class PoseSearch {
  public:
   PoseSearch(const float* points, const std::uint8_t* slices, std::size_t n, double cell,

@@ -18,8 +18,8 @@
 namespace segloc::bindings {
 namespace {
 
-// A match's name must exist, and so must its place: a query has few segments, and of a map's only
-// those are looked at that are matched. They are all over the map, so they are prefetched.
+// Indices must be valid and positions finite. Only matched map segments are read; they are all over
+// the map, so they are prefetched.
 void require_matches(const In2<double>& query, const In2<double>& map,
                      const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map) {
   constexpr std::size_t kAhead = 24;
@@ -43,7 +43,7 @@ void require_matches(const In2<double>& query, const In2<double>& map,
   }
 }
 
-// Tolerances below this would make more cells than there are places.
+// Smaller tolerances would need too many cells.
 constexpr double kLeastTolerance = 1e-3;
 constexpr std::size_t kMostDraws = 1'000'000'000;
 constexpr double kPi = 3.14159265358979323846;

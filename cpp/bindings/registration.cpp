@@ -42,7 +42,7 @@ auto normals_(const Surface& surface) {
   return to_numpy(std::move(values), {surface.size(), 3});
 }
 
-// Of at most so many source points, evenly spread.
+// Counts among at most `most` source points, evenly spread.
 auto on_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
                double least_slope, double most_slope, double tolerance, std::size_t most) {
   const Rigid T = rigid_of(T_target_source, "T_target_source");

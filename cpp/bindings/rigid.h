@@ -1,4 +1,4 @@
-// Rigid transforms as Python hands them over.
+// Rigid transforms from Python.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 
 namespace segloc::bindings {
 
-// Up to a rounding that no one writes down.
+// Up to rounding.
 inline bool is_rotation(const std::array<double, 9>& R) {
   double off = 0.0;
   for (int a = 0; a < 3; ++a) {

@@ -1,4 +1,4 @@
-// The named tensors of a network as Python hands them over.
+// Named tensors of a network from Python.
 #pragma once
 
 #include <nanobind/stl/map.h>
@@ -14,7 +14,7 @@ namespace segloc::bindings {
 
 using TensorArrays = std::map<std::string, In<float>>;
 
-// Views that are good for as long as the arrays are. Throws where a value is not finite.
+// Views that are valid for as long as the arrays. Throws if a value is not finite.
 inline Tensors views_of(const TensorArrays& tensors) {
   Tensors views;
   for (const auto& [name, array] : tensors) {

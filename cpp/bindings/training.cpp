@@ -15,7 +15,7 @@ void require_size(const Array& array, std::size_t size, const char* name) {
   require(array.size() == size, std::string(name) + " has the wrong size");
 }
 
-// Of whatever is multiplied before memory is taken.
+// Limit of sizes that are multiplied before memory is allocated.
 constexpr std::size_t kMostOnAxis = 65536, kMostNeighbors = 256;
 
 struct Apply {

@@ -10,7 +10,7 @@
 namespace segloc::bindings {
 namespace {
 
-// A point where the index has none around counts as `unmapped` of one that is near.
+// A point in unmapped space counts `unmapped` of a point with a neighbour.
 auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
               double radius, double unmapped) {
   require_points(points);
@@ -26,7 +26,7 @@ auto overlap_(const PointIndex& index, const In2<float>& points, const In3<doubl
     for (std::size_t h = 0; h < share.size(); ++h) {
       const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
       const double known = double(found.near) + unmapped * double(found.unmapped);
-      const std::size_t all = found.judged + found.unmapped;
+      const std::size_t all = found.compared + found.unmapped;
       share[h] = all == 0 ? 0.0 : known / double(all);
       rmse[h] = std::sqrt(found.squared_sum / double(found.near));  // NaN where nothing is near
     }

@@ -1,4 +1,4 @@
-// A cloud sorted into cubic cells: the common ground of voxel grid, clustering and nearest points.
+// A cloud sorted into cubic cells, for voxel grids, clustering and nearest points.
 #pragma once
 
 #include <cstddef>

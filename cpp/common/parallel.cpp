@@ -21,8 +21,8 @@ namespace segloc {
 namespace {
 
 constexpr int kMostThreads = 256;
-// How long a caller looks for the end of the last chunks before it sleeps. To be woken takes as
-// long, and on a busy machine a thousand times that.
+// Time that a caller spins for the last chunks before it sleeps. Waking up takes as long, and on a
+// busy machine a thousand times longer.
 constexpr std::chrono::microseconds kWatched{50};
 
 using Clock = std::chrono::steady_clock;
@@ -52,7 +52,7 @@ struct Job {
     }
     return end - begin;
   }
-  // A helper that has come too late is not waited for: it finds no chunk and leaves.
+  // A late helper is not waited for: it finds no chunk and leaves.
   bool help(int worker) {
     ++busy;
     const bool taken = step(worker) > 0;
@@ -63,9 +63,9 @@ struct Job {
   bool done() const { return busy.load() == 0; }
 };
 
-// Whether helpers are worth calling. On a busy machine one may be stopped within its chunk, and the
-// caller then waits for it longer than the chunk would have taken: callers work alone for a while,
-// each time twice as long, until helpers are seen to help.
+// Decides whether to call helpers. On a busy machine a helper may be preempted within its chunk,
+// and the caller then waits for longer than the chunk takes. Callers then work alone for a while,
+// each time twice as long, until helpers are useful again.
 class Usefulness {
  public:
   bool is_doubtful() const { return Clock::now().time_since_epoch().count() < alone_until_.load(); }
@@ -117,7 +117,7 @@ class Pool {
   }
 
  private:
-  // Threads or memory that the system does not give are done without.
+  // If the system gives no threads or memory, the caller works alone.
   void call(const std::shared_ptr<Job>& job, int helpers) {
     const std::lock_guard<std::mutex> lock(mutex_);
     try {
@@ -164,8 +164,8 @@ Pool& Pool::instance() {
 }
 
 #if defined(__unix__) || defined(__APPLE__)
-// A child has none of its parent's threads, and may have locks that one of them held: it gets a
-// pool of its own when it needs one.
+// A forked child has none of its parent's threads, and may inherit their locks: it gets its own
+// pool on demand.
 const int kForgets = pthread_atfork(nullptr, nullptr, [] { pool.store(nullptr); });
 #endif
 

@@ -1,5 +1,5 @@
-// What C++17 has no words for. Nothing else in the library is written for one compiler: this header
-// and the vector operators in simd/simd.h need GCC or Clang.
+// Compiler-specific code. Only this header and the vector operators in simd/simd.h need GCC or
+// Clang.
 //
 // Everything is static: a shared definition could come from a file that was built for a newer
 // processor (simd/simd.h).
@@ -18,7 +18,7 @@
 // a, value by value, as a vector of another type.
 #define SEGLOC_CONVERT(a, Type) __builtin_convertvector(a, Type)
 
-// A vector type of so many bytes, with operators for each of its values.
+// A vector type of a given size in bytes, with operators on each of its values.
 #define SEGLOC_VECTOR(type, name, bytes) typedef type name __attribute__((vector_size(bytes)))
 
 namespace segloc {
@@ -43,8 +43,8 @@ static inline void copy_bytes(void* to, const void* from, size_t count) {
 static inline void clear_bytes(void* to, size_t count) { __builtin_memset(to, 0, count); }
 
 #if defined(__x86_64__)
-// What the processor has and the system saves. Asked of the processor itself, since the compilers'
-// own question needs a run-time library that clang-cl does not link.
+// Features of the processor that the system supports. Read by CPUID, since the compilers' built-ins
+// need a run-time library that clang-cl does not link.
 struct CpuFeatures {
   bool avx2, fma, avx512f, avx512dq, avx512bw, avx512vl;
 };

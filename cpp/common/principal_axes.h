@@ -1,4 +1,4 @@
-// How points spread: their covariance and the directions in which it is least and greatest.
+// Covariance of points and its principal directions.
 #pragma once
 
 #include <array>

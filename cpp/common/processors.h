@@ -1,4 +1,4 @@
-// How many threads this process can run at the same time.
+// Number of threads that this process can run in parallel.
 #pragma once
 
 namespace segloc {
@@ -8,8 +8,8 @@ namespace segloc {
 // `--cpus`). At least 1. It is looked up once.
 int usable_processors();
 
-// What a quota file of Linux says, rounded up to whole processors: "150000 100000" is 2, and
-// "max 100000" is 0, no limit; so is whatever cannot be read.
+// Parses a quota file of Linux, rounded up to whole processors: "150000 100000" is 2; "max 100000"
+// or unreadable text is 0, no limit.
 int processors_of_quota(const char* text);
 
 }  // namespace segloc

@@ -1,4 +1,4 @@
-// Turning a segment into a frame of its own.
+// Alignment of a segment with its own frame.
 #pragma once
 
 #include <cstddef>

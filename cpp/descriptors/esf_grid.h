@@ -1,5 +1,4 @@
-// What the shape functions of esf.h are made of: the occupancy grid with its lines, and the bins of
-// angles.
+// Parts of the shape functions of esf.h: the occupancy grid with its lines, and the bins of angles.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +16,7 @@ constexpr int kGrid = 64;
 
 enum Kind : uint8_t { kInside, kOutside, kAcross };
 
-// What is known of the line between two points.
+// Cached properties of the line between two points.
 struct Line {
   uint8_t voxels = 0;  // 0: not traced yet
   uint8_t occupied = 0;

@@ -27,7 +27,7 @@ constexpr std::size_t kDistances = kQuantiles + 4 * kMarks;
 constexpr std::size_t kSlices = kDistances + 2 * kPairMarks + kMarks;
 constexpr std::size_t kSize = kSlices + 7 * kLayers + 6 * kSections;
 
-constexpr float kLeast = 0.05f;  // metres; shorter lengths are not told apart
+constexpr float kLeast = 0.05f;  // metres; lower bound of lengths
 
 float log_length(float metres) { return std::log(std::max(metres, kLeast)); }
 

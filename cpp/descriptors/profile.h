@@ -1,4 +1,4 @@
-// Shape profiles: metric numbers that say how large a segment is and how its points are spread.
+// Shape profiles: metric numbers of the size of a segment and the distribution of its points.
 #pragma once
 
 #include <cstddef>

@@ -56,14 +56,13 @@ struct Above {
   std::vector<float> points;
 };
 
-// Points that are linked for certain: those in a cube of half the radius. Those of the highest
-// level come first.
+// Points that are always linked: those in a cube of half the radius. The highest level comes first.
 struct Cell {
   std::uint32_t begin;  // of the sorted points
 };
 
-// The up to eight cells in a cube as wide as the radius: whatever a point is linked with lies in
-// its own block or in one that touches it.
+// Up to eight cells in a cube as wide as the radius: linked points lie in the same block or in
+// adjacent ones.
 struct Block {
   std::uint64_t key;
   std::uint32_t begin, end;  // range of the cells

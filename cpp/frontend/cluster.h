@@ -19,7 +19,7 @@ Clusters euclidean_clusters(const float* points, std::size_t n, double radius,
                             std::size_t min_points, std::size_t max_points);
 
 // The clusters of the points higher than each cut, cut after cut; `heights` are of the n points.
-// What is linked above one cut is linked above every lower one, too, and not looked at again.
+// Points linked above one cut are linked above every lower one, and not visited again.
 Clusters clusters_above(const float* points, const float* heights, std::size_t n,
                         const std::vector<double>& cuts, double radius, std::size_t min_points,
                         std::size_t max_points);

@@ -1,4 +1,4 @@
-// What of a scan belongs to a local cloud.
+// The points of a scan within a local cloud.
 #pragma once
 
 #include <array>

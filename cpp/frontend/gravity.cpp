@@ -10,8 +10,8 @@
 namespace segloc {
 namespace {
 
-// From the air what is nearest may all be roofs: the range is at least kFar times the median one of
-// the points, but at most kFarthest times what is used otherwise.
+// From the air the nearest points may all be roofs: the range is at least kFar times the median
+// range, but at most kFarthest times the usual one.
 constexpr double kFar = 1.5, kFarthest = 3.0;
 constexpr double kStart = 8.0 * 3.14159265358979323846 / 180.0;  // agreement ends there, radians
 constexpr std::size_t kLanes = 16;

@@ -1,4 +1,4 @@
-// Which way is up in a scan: from the floors, ceilings and walls that it shows.
+// The direction of gravity in a scan, from floors, ceilings and walls.
 #pragma once
 
 #include <array>

@@ -125,8 +125,8 @@ class Support {
   float band_[2 * kSupportRadius + 1][2 * kSupportRadius + 1];
 };
 
-// Stray returns below the ground (mirror images in windows and car doors), alone or in clumps,
-// would pull the whole envelope down: what the surroundings do not support is forgotten.
+// Stray returns below the ground (reflections in windows and car doors) would lower the envelope:
+// cells without support around them are ignored.
 void drop_outliers(Grid& grid, double margin) {
   const Support support(grid, margin);
   std::vector<std::int32_t> level(static_cast<std::size_t>(grid.nx));

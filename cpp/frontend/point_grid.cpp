@@ -29,7 +29,7 @@ bool any(const Flags& flags) {
   return (halves[0] | halves[1]) != 0;
 }
 
-// A place, and the squared distances of so many points from it.
+// A position, and the squared distances of points from it.
 struct Place {
   explicit Place(const PointGrid::Point& p) : x(all(p[0])), y(all(p[1])), z(all(p[2])) {}
   Floats squared(const float* px, const float* py, const float* pz) const {

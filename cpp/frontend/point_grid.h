@@ -1,4 +1,4 @@
-// Points in a hashed grid: what lies near a place, in clouds of any extent.
+// Points in a hashed grid: neighbour search in clouds of any extent.
 #pragma once
 
 #include <array>

@@ -1,4 +1,4 @@
-// Points added up voxel by voxel, in whole numbers: what was added can be taken away exactly.
+// Integer sums of points per voxel: additions can be undone exactly.
 #pragma once
 
 #include <array>
@@ -16,7 +16,7 @@ using Fixed = std::int64_t;
 constexpr int kFractionBits = 12;
 constexpr Fixed kOne = Fixed{1} << kFractionBits;
 
-// Cells are told apart up to multiples of 2^21 along each axis.
+// Cells are distinguished up to multiples of 2^21 along each axis.
 constexpr int kAxisBits = 21;
 constexpr std::uint64_t kAxisMask = (std::uint64_t{1} << kAxisBits) - 1;
 

@@ -1,5 +1,4 @@
-// The scans of a window of travel as one thinned cloud, with work in proportion to what comes and
-// goes.
+// The scans of a window as one thinned cloud; work is proportional to the scans added and dropped.
 #pragma once
 
 #include <array>
@@ -14,12 +13,11 @@
 namespace segloc {
 
 // Each scan is thinned once, in its own frame, to the mean of every voxel of half the edge. The
-// points that stay are counted in voxels of a lattice that is fixed in the odometry's frame. The
-// sums are whole numbers, so what the window holds depends on its scans and their poses alone, not
-// on what came and went before.
+// remaining points are summed in voxels of a lattice fixed in the odometry's frame. The sums are
+// integers, so the window depends only on its scans and their poses, not on dropped scans.
 class VoxelWindow {
  public:
-  static constexpr std::size_t kMostScans = 8192;  // sums of so many do not overflow
+  static constexpr std::size_t kMostScans = 8192;  // their sums do not overflow
   static constexpr double kReach = 1 << 18;        // cells that scans see, or lie apart, at most
   static constexpr double kFarthest = 1ll << 38;   // cells from the odometry's origin
 
@@ -31,7 +29,7 @@ class VoxelWindow {
   // Throws std::invalid_argument where there are too many scans, or the pose lies too far off.
   void push(const float* points, std::size_t n, const Rigid& T_odom_sensor);
 
-  // Takes away the scan at a position, 0 for the first.
+  // Drops the scan at a position, 0 for the first.
   void drop(std::size_t position);
 
   // Puts the scans to other poses, one for each, first scan first; those of the same pose stay.

@@ -10,8 +10,8 @@ namespace segloc {
 
 constexpr int kMostOctreeLevels = 21;  // three numbers of a cell fit into 63 bits
 
-// One byte a node, the root first and each level sorted by x, then y, then z: bit 4x + 2y + z says
-// whether the child in that half of each axis is occupied. The n cells, (n, 3) row-major, are from
+// One byte per node, the root first and each level sorted by x, then y, then z: bit 4x + 2y + z is
+// set if the child in that half of each axis is occupied. The n cells, (n, 3) row-major, are from
 // 0 to 2^levels - 1; cells that occur twice count once. Throws std::invalid_argument where one is
 // not.
 std::vector<std::uint8_t> octree_encode(const std::int32_t* cells, std::size_t n, int levels);

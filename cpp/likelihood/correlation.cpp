@@ -10,7 +10,7 @@
 namespace segloc {
 namespace {
 
-// What an occupied cell counts, one beside it, and one where the map has nothing all around.
+// Scores of an occupied cell, of one beside it, and of one in unmapped space.
 constexpr std::uint8_t kHere = 4, kBeside = 2, kUnmapped = 1;
 constexpr int kBlock = 4;           // cells along the edge of a block that is mapped or not
 constexpr std::size_t kRun = 64;    // shifts that are counted at once
@@ -18,7 +18,7 @@ constexpr std::size_t kGroup = 63;  // cells whose counts add up to a byte
 constexpr int kLayers = 8;
 constexpr double kLayer = 1.0;    // metres
 constexpr double kBelow = 3.0;    // of the lowest layer's bottom, under the sensor, metres
-constexpr double kBetween = 0.3;  // so near its edge, a map point fills the next layer as well
+constexpr double kBetween = 0.3;  // metres from its edge: a point fills the next layer, too
 
 // -1 for all that is lower, kLayers for all that is higher.
 int layer_of(double above) {
@@ -55,7 +55,7 @@ class Planes {
     return values_.data() + index(layer, y + half_, x + half_);
   }
   std::ptrdiff_t shift(int y, int x) const { return std::ptrdiff_t{y} * side_ + x; }
-  // How far from the centre a point may lie that is shifted by so much.
+  // Largest distance of a point from the centre, after its shift.
   double reach(double shift) const { return (half_ - 1) / cells_per_metre_ - shift; }
   int cell(double v) const { return static_cast<int>(floor_of(v * cells_per_metre_ + 0.5)); }
 

@@ -1,4 +1,4 @@
-// How well a query cloud fits the map at many poses around one: shifted and turned.
+// Fit of a query cloud to the map at many shifts and headings around a pose.
 #pragma once
 
 #include <cstddef>
@@ -11,9 +11,9 @@ namespace segloc {
 
 struct CorrelationOptions {
   double cell = 0.5;        // edge of the occupancy grid, and the step of the shifts, metres
-  double half_width = 15;   // shifts along x and y reach so far, metres
-  double range = 30;        // query points this near the sensor are used, metres
-  std::size_t cells = 600;  // occupied cells of the query that are used at most
+  double half_width = 15;   // largest shift along x and y, metres
+  double range = 30;        // range of the query points, metres
+  std::size_t cells = 600;  // most occupied cells of the query
 };
 
 // (Headings, shifts along y, shifts along x) row-major: four times the occupied cells of the query

@@ -10,8 +10,8 @@
 namespace segloc {
 
 struct GicpOptions {
-  std::size_t coarse = 600;        // about so many points are aligned first, where there are more
-  std::size_t fine = 4000;         // and about so many after those, where there are more
+  std::size_t coarse = 600;        // approximate points of the first alignment
+  std::size_t fine = 4000;         // and of the second
   int max_iterations = 20;         // of all points, or of the first ones
   int max_final = 6;               // of the others after those; 0: it ends with the first ones
   double translation_step = 2e-3;  // steps smaller than both of these are the last, metres

@@ -1,4 +1,4 @@
-// What a query shows standing where the map is known to be free.
+// Query points that occupy free space of the map.
 #pragma once
 
 #include <cstddef>
@@ -8,16 +8,16 @@
 namespace segloc {
 
 struct IntrusionOptions {
-  double range = 30;        // query points this near the sensor are used, metres
+  double range = 30;        // range of the query points, metres
   double bin_deg = 2;       // width of a pixel of a range image, degrees
-  double radius = 0.5;      // a query point with a map point so near stands there, metres
-  double margin = 0.7;      // map points lie so far behind free space, metres
-  double half_width = 0.2;  // of what a map point stands for: the map's cloud is thinned, metres
+  double radius = 0.5;      // radius within which a query point is on the map, metres
+  double margin = 0.7;      // distance of free space before a map point, metres
+  double half_width = 0.2;  // half width of a point of the thinned map, metres
 };
 
 struct Intrusion {
   std::size_t used = 0;       // query points within the range
-  std::size_t intruding = 0;  // those that stand in free space
+  std::size_t intruding = 0;  // those in free space
 };
 
 // Query points, (m, 3), are taken through a row-major 4 x 4 transform to the map's frame. From each

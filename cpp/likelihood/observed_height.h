@@ -1,4 +1,4 @@
-// How high the points of a cloud are, place by place.
+// Height of a cloud, cell by cell.
 #pragma once
 
 #include <algorithm>
@@ -11,9 +11,9 @@
 
 namespace segloc {
 
-// A sensor whose field of view ends lower than another one's sees less of trees and houses. What is
-// higher than anything the cloud has nearby was not in view, and says nothing of a pose. Nor does
-// what lies where the cloud has nothing, not even ground: beyond the end of a map.
+// A sensor with a lower field of view sees less of trees and houses. Points above all nearby points
+// of the cloud were not in view, and are not evidence for or against a pose. Neither are points in
+// unmapped space, without even ground.
 class ObservedHeight {
  public:
   ObservedHeight(const float* points, std::size_t n) {

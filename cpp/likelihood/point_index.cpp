@@ -71,7 +71,7 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
     const ObservedHeight::View view = height_.at(moved[0], moved[1], moved[2]);
     result.unmapped += view == ObservedHeight::View::kUnmapped;
     if (view != ObservedHeight::View::kSeen) continue;
-    ++result.judged;
+    ++result.compared;
     const float d2 = grid_.nearest_squared(moved, limit);
     if (d2 > limit) continue;
     ++result.near;

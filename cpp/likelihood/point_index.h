@@ -17,13 +17,13 @@ class PointIndex {
   PointIndex(const float* points, std::size_t n, double radius);
 
   struct Overlap {
-    std::size_t judged = 0;    // points no higher than the indexed ones around them
+    std::size_t compared = 0;    // compared points: no higher than the indexed ones around them
     std::size_t near = 0;      // those with an indexed point within the radius
     double squared_sum = 0;    // of the distances of the latter
     std::size_t unmapped = 0;  // points with no indexed ones around them at any height
   };
 
-  // How well (m, 3) points, taken through a row-major 4 x 4 transform, lie on the indexed ones.
+  // Overlap of (m, 3) points, transformed by a row-major 4 x 4 matrix, with the indexed ones.
   Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
 
   // What is between two heights, within a horizontal distance of (x, y).
@@ -67,7 +67,7 @@ class PointIndex {
     std::int64_t y, x;
     std::size_t first_block, last_block;
   };
-  // A block of which so many points lie in a column.
+  // A block and its number of points in a column.
   struct Part {
     const Block* block;
     std::size_t count;

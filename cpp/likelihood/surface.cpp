@@ -14,7 +14,7 @@ constexpr float kClose = 0.4f;      // share of the maximum distance that is sea
 constexpr double kRounding = 1e-3;  // metres
 constexpr std::size_t kFewest = 4;  // points that can be off a plane
 
-// Three signed steps of 21 bits and a bit that says that they are there.
+// Three signed steps of 21 bits and a bit that is set if they are valid.
 constexpr std::uint64_t kKnown = std::uint64_t{1} << 63;
 constexpr std::uint64_t kMask = (std::uint64_t{1} << 21) - 1;
 constexpr double kSteps = double((1 << 20) - 1);

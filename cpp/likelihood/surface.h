@@ -1,4 +1,4 @@
-// A cloud as a surface: its points, and the normals of what they lie on.
+// A cloud as a surface: its points and their normals.
 #pragma once
 
 #include <array>
@@ -13,9 +13,9 @@
 
 namespace segloc {
 
-// A normal takes longer to find than a point, and an alignment needs few of a large map's: each is
-// computed when it is first needed, and kept. It depends on the points alone, so it does not matter
-// who needs it first, and several threads may call at once.
+// A normal takes longer to find than a point, and an alignment needs few of a large map: each is
+// computed on first use, and cached. It depends on the points alone, so the order of calls does not
+// matter, and several threads may call at once.
 class Surface {
  public:
   using Normal = std::array<double, 3>;
@@ -53,7 +53,7 @@ class Surface {
   std::unique_ptr<std::atomic<std::uint64_t>[], Free> normals_;
 };
 
-struct Slope {  // how much of a unit normal points up or down
+struct Slope {  // limits of the vertical part of a unit normal
   double least, most;
 };
 
@@ -61,9 +61,8 @@ struct OnPlane {
   std::size_t hits, of;
 };
 
-// Counts every `step`-th point of a source, taken through a transform, whose own normal has there
-// the given slope and whose nearest target point has one, too: all, and those that lie within the
-// tolerance of its plane, metres.
+// Counts every `step`-th point of a transformed source whose own normal has the given slope and
+// whose nearest target point has a normal: all, and those within the tolerance of its plane [m].
 OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
                  const Slope& slope, double tolerance);
 

@@ -12,7 +12,7 @@ constexpr double kRight = 3.14159265358979323846 / 2;
 constexpr float kFar = std::numeric_limits<float>::infinity();
 constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
 constexpr double kGroundCell = 3.0;  // metres
-constexpr float kAbove = 0.5f;       // map points lower above the ground are not judged, metres
+constexpr float kAbove = 0.5f;       // lower map points are not compared, metres
 constexpr double kNearest = 0.05;    // points nearer than this are no wider, metres
 constexpr double kSteepest = 0.1;    // nor are those that are steeper: the cosine of the elevation
 constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
@@ -34,7 +34,7 @@ double quick_atan2(double y, double x) {
   return (y < 0 ? -angle : angle) * kDegrees;
 }
 
-// What a query sees of a map lies so near: points beyond need not be searched.
+// Limit of the visible part of a map: points beyond need not be searched.
 std::vector<float> within(const float* points, std::size_t n, double reach) {
   std::vector<float> near;
   for (std::size_t i = 0; i < n; ++i) {

@@ -31,7 +31,7 @@ class RangeImage {
   std::vector<float> nearest_;
 };
 
-// What is free about a sensor, by its range image.
+// Free space around a sensor, by its range image.
 class FreeSpace {
  public:
   explicit FreeSpace(const RangeImage& image) : image_(image), least_(image.eroded()) {}
@@ -64,7 +64,7 @@ class VisibilityCheck {
     std::int64_t violations = 0;  // others that lie in free space
   };
 
-  // `structure` (n, 3) stands above `ground` (g, 3). Map points are judged up to `range` metres, in
+  // `structure` (n, 3) is above `ground` (g, 3). Map points are compared up to `range` metres, in
   // directions `bin_deg` wide; `count` takes any radius up to `radius`.
   VisibilityCheck(const float* structure, std::size_t n, const float* ground, std::size_t g,
                   double range, double bin_deg, double radius);
@@ -72,7 +72,7 @@ class VisibilityCheck {
   // `map` (m, 3) are points of the map, and T (4, 4) takes them to the query frame. A map point is
   // a free-space violation where its pixel of the query's range image is measured, and all that is
   // measured in that pixel and about it lies more than `margin` metres, and more than a share of
-  // the range, behind the point. Points hardly above the query's ground are not judged.
+  // the range, behind the point. Points close to the query's ground are not compared.
   Counts count(const float* map, std::size_t m, const double* T, double radius,
                double margin) const;
 

@@ -55,7 +55,7 @@ void processors() {
   CHECK(resolve_threads(7) == 7 && resolve_threads(2'000'000'000) == 256);
 }
 
-// What the processor says of itself is what the compiler's library makes of it.
+// The processor's features are those of the compiler's library.
 void instruction_set_tests() {
 #if defined(__x86_64__) && !defined(__clang__)  // whose library need not be there
   __builtin_cpu_init();

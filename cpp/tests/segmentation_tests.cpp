@@ -91,8 +91,8 @@ void clouds() {
   CHECK_THROWS(heights_above_ground(wide.data(), 2, {}));
 }
 
-// All that a grid says of its nearest points, beside what looking at every point says. Points on a
-// lattice lie equally near to many places.
+// Nearest points by a grid, compared with a search of all points. Points on a lattice lie equally
+// near to many places.
 void nearest_points() {
   for (const std::size_t n : kSizes) {
     auto points = random_floats(3 * n, -9.0f, 9.0f, 11),

@@ -1,5 +1,5 @@
-// What training spends its time on, forwards and backwards, on the CPU: applying the K x K
-// transforms of an X-conv layer, and ELU followed by batch norm.
+// The costly operations of training on the CPU, forwards and backwards: the K x K transforms of an
+// X-conv layer, and ELU followed by batch norm.
 #pragma once
 
 #include <cstddef>

@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 from segloc.cli.demo import demo
 
 KEPT = {"trajectory.png": "demo.png", "errors.png": "demo_errors.png"}
-SAID = "Description"
+KEY = "Description"
 COLOURS = 128
 
 
@@ -23,11 +23,11 @@ def keep(results: Path, out: Path) -> None:
     """Write the pictures of a results folder in few colours, with their description."""
     for drawn, name in KEPT.items():
         with Image.open(results / drawn) as image:
-            said = PngInfo()
-            if SAID in image.info:
-                said.add_text(SAID, image.info[SAID])
+            info = PngInfo()
+            if KEY in image.info:
+                info.add_text(KEY, image.info[KEY])
             few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-            few.save(out / name, optimize=True, pnginfo=said)
+            few.save(out / name, optimize=True, pnginfo=info)
 
 
 def main() -> None:

@@ -125,8 +125,8 @@ def _words(axes: Any, found: Trace) -> None:
     axes.text(left, 1.1 * LIFTED_M, "one scan of today,\ncut into segments", **style)
     axes.text(left, 0.52 * LIFTED_M, f"{result.inliers} matches agree", **{**style, "color": GREEN})
     axes.text(left, -0.42 * LIFTED_M, "the map of\nanother day", **style)
-    said = f"x {x:.1f} m, y {y:.1f} m, yaw {yaw:.0f}°\nconfidence {result.confidence:.2f}"
-    axes.text(1.21 * RADIUS_M, -0.46 * RADIUS_M, said, ha="right", **{**style, "weight": "bold"})
+    label = f"x {x:.1f} m, y {y:.1f} m, yaw {yaw:.0f}°\nconfidence {result.confidence:.2f}"
+    axes.text(1.21 * RADIUS_M, -0.46 * RADIUS_M, label, ha="right", **{**style, "weight": "bold"})
 
 
 def main() -> None:

@@ -50,7 +50,7 @@ COLOURS = {
 
 @dataclass(frozen=True)
 class Step:
-    """A scan, where the odometry and the truth had it, and what the tracker said."""
+    """A scan, where the odometry and the truth had it, and the answer of the tracker."""
 
     points: Float32
     T_odom_sensor: Pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from segloc_lab.calibration.posterior import FEATURES, KEPT, Judged, Records, fit, records_of
+from segloc_lab.calibration.posterior import FEATURES, KEPT, Decisions, Records, fit, records_of
 from segloc_lab.calibration.rows import Rows
 from segloc_lab.calibration.worlds import MAX_THINNED, QuerySet, load_queries, save_queries
 
@@ -50,7 +50,7 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
     records = Records(features, poses, right, ~right, number, names, names)
     found = fit(records)
     assert np.allclose(found, weights, atol=0.1)
-    judged = Judged.by(records, found)
-    sure = judged.log_odds > np.log(9.0)
-    assert 0.9 < judged.right[sure].mean() < 1.0
-    assert np.array_equal(judged.right, ~judged.false)
+    decisions = Decisions.by(records, found)
+    sure = decisions.log_odds > np.log(9.0)
+    assert 0.9 < decisions.right[sure].mean() < 1.0
+    assert np.array_equal(decisions.right, ~decisions.false)

@@ -89,10 +89,10 @@ def test_pieces_that_were_cut_off_and_put_together_are_one_run(
         protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str)
     monkeypatch.setattr(protocol, "queries", every)
     monkeypatch.setattr(protocol, "QUERIES", 1)  # the row that is there is a piece by now
-    asked: list[str] = []
+    requested: list[str] = []
     for method in METHODS:
-        protocol.answers_of((method,), tmp_path, tmp_path / "two", asked.append, workers=1)
-    assert len(asked) == 8
+        protocol.answers_of((method,), tmp_path, tmp_path / "two", requested.append, workers=1)
+    assert len(requested) == 8
     assert protocol.stored(tmp_path / "two") == protocol.stored(tmp_path / "one") == whole
     monkeypatch.setattr(protocol, "_measure", lambda *_: pytest.fail("measured again"))
     assert protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str) == whole

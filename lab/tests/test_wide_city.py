@@ -1,4 +1,4 @@
-"""A thin map among copies of itself: as large as was asked for, and queries are still found."""
+"""A thin map among copies of itself: of the requested size, and queries are still found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole configuration: the stages' own sections, composed, and one preset a method."""
+"""The whole configuration: the sections of all stages, and a preset per method."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ FOR_USERS = (
     "verification.min_confidence",
     "verification.refine",
 )
-"""What users may want to set. The model of the verdict was fitted under the others."""
+"""Settings for users. The model of the posterior was fitted under the others."""
 
 _UNITS = {"_m": "metres", "_deg": "degrees", "_ms": "milliseconds", "_s": "seconds"}
-"""Of keys, by how their names end."""
+"""Units of keys, by the end of their names."""
 
 
 class Config(BuildConfig):
-    """Everything that can be set. Frozen: derive a changed one with ``model_copy(update=...)``."""
+    """All settings. Frozen: derive a changed one by ``model_copy(update=...)``."""
 
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
@@ -63,7 +63,7 @@ class Config(BuildConfig):
 
     @classmethod
     def preset(cls, method: str) -> Config:
-        """The configuration a method is at its best with.
+        """Return the configuration of a method.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Config(BuildConfig):
 
     @classmethod
     def load(cls, path: str | Path | None, method: str | None = None) -> Config:
-        """Read a YAML file; what it leaves out comes from the preset of its method.
+        """Read a YAML file; missing keys come from the preset of its method.
 
         Raises
         ------
@@ -90,25 +90,24 @@ class Config(BuildConfig):
         return validated(cls, merged, str(path))
 
     def explained(self, every: bool = False) -> str:
-        """YAML with what each key means beside it: those of :data:`FOR_USERS`, or every one."""
+        """Format as YAML with the meaning of each key: those of :data:`FOR_USERS`, or all."""
         return "\n".join(_explained(self, "", "", every)) + "\n"
 
 
 def map_config(prior_map: SegmentMap) -> Config:
-    """The configuration that a map was built with, except threads and the sensor's mount."""
+    """Return the configuration of a map, except threads and the sensor's mount."""
     return stored_config(prior_map, Config)
 
 
 def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:
-    """What queries in a map are configured by, and what is worth saying of it.
+    """Return the configuration of queries in a map, and notes on it.
 
     Returns
     -------
     Config
-        The given one; by default the one that the map was built with.
+        The given one; by default that of the map.
     tuple of str
-        Settings that differ from those that the map was built with, and from those that the
-        confidence was fitted under.
+        Settings that differ from those of the map, and from those of the fit of the confidence.
 
     Raises
     ------
@@ -117,7 +116,7 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     """
     if config is not None and config.method != prior_map.descriptor:
         raise MapMismatch(
-            f"the map was described by {prior_map.descriptor!r}, "
+            f"the map has descriptors of {prior_map.descriptor!r}, "
             f"but the configuration is of method {config.method!r}"
         )
     built = map_config(prior_map)
@@ -132,7 +131,7 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
 
 
 def differences(values: Mapping[str, Any], others: Mapping[str, Any]) -> list[str]:
-    """Keys of nested mappings, joined by dots, that both have and that differ."""
+    """Return common keys of nested mappings, joined by dots, with different values."""
     found = []
     for key in sorted(values.keys() & others.keys()):
         mine, theirs = values[key], others[key]
@@ -148,7 +147,7 @@ def _plain(value: Any) -> Any:
 
 
 def _shared(config: Config) -> dict[str, Any]:
-    """What maps and queries should agree on."""
+    """Return the settings that should be equal for maps and queries."""
     chosen = {"local_cloud", "segmentation"}
     return unmounted(config).model_dump(mode="json", include=chosen)
 
@@ -168,7 +167,7 @@ def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Itera
 
 
 def _comment(name: str, text: str | None) -> str:
-    """What a key means, and its unit where the key's name alone tells it."""
+    """Return the meaning of a key, with the unit in its name."""
     if not text:
         return ""
     unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
@@ -177,7 +176,7 @@ def _comment(name: str, text: str | None) -> str:
 
 
 def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:
-    """A section of configuration from its values, which come from ``where``.
+    """Validate the values of a section of configuration from ``where``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The one exception family of segloc: catch :class:`SeglocError` to catch them all."""
+"""Exceptions of segloc; all are a :class:`SeglocError`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _LONGEST = 3000
 
 
 class SeglocError(Exception):
-    """Base of every error that segloc raises on purpose; its message is one line.
+    """Base of all errors of segloc; the message is one line.
 
-    Names of files, topics and fields in it can be anything.
+    Line breaks in names of files, topics and fields are replaced.
     """
 
     def __init__(self, message: object = "", *others: object) -> None:
@@ -26,7 +26,7 @@ class InvalidScan(SeglocError, ValueError):
 
 
 class DatasetError(SeglocError):
-    """A scan, trajectory or sequence cannot be read; names the file and the place in it."""
+    """A scan, trajectory or sequence cannot be read; names the file and the position in it."""
 
 
 class MapFormatError(SeglocError):
@@ -54,7 +54,7 @@ class MissingDependency(SeglocError, ImportError):
         self._needed = (package, extra, purpose)
 
     def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:
-        return type(self), self._needed  # else it could not come back from another process
+        return type(self), self._needed  # picklable, for other processes
 
 
 class LiveError(SeglocError):

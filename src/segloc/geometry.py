@@ -13,11 +13,11 @@ from .system.section import Section
 from .types import Pose
 
 FLAT_M = 0.005
-"""Standard deviation of points in one plane about it [m]."""
+"""Largest standard deviation of points from their plane [m]."""
 
 
 def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
-    """The (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
+    """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = t
@@ -25,21 +25,21 @@ def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
 
 
 def yaw_transform(yaw: float, t: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Pose:
-    """A turn by ``yaw`` radians about z, then a translation by ``t`` metres."""
+    """Return a rotation by ``yaw`` [rad] about z, then a translation by ``t`` [m]."""
     c, s = math.cos(yaw), math.sin(yaw)
     return np.array([[c, -s, 0, t[0]], [s, c, 0, t[1]], [0, 0, 1, t[2]], [0, 0, 0, 1.0]])
 
 
 def inverse(T: Pose) -> Pose:
-    """The inverse of a rigid (4, 4) transform."""
+    """Return the inverse of a rigid (4, 4) transform."""
     R = T[:3, :3]
     return rigid(R.T, -R.T @ T[:3, 3])
 
 
 def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
-    """Take (N, 3) points through T; computed in float64."""
-    # Column by column: on so thin a matrix several times faster than a matrix product, whose
-    # threads would cost more than they save.
+    """Transform (N, 3) points by T, in float64."""
+    # Column by column: several times faster on three columns than a matrix product, whose threads
+    # would cost more than they save.
     x, y, z = (np.asarray(points[:, k], dtype=np.float64) for k in range(3))
     moved = np.empty((len(points), 3))
     for k in range(3):
@@ -48,28 +48,28 @@ def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def rotation_angle(T: Pose) -> float:
-    """The angle of T's rotation in radians, in [0, pi]; exact for small angles too."""
+    """Return the angle of T's rotation [rad], in [0, pi]; exact for small angles too."""
     R = T[:3, :3]
     skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     return math.atan2(float(np.linalg.norm(skew)) / 2.0, (float(np.trace(R)) - 1.0) / 2.0)
 
 
 def heading(T: Pose) -> float:
-    """The yaw, in radians, of the direction in which T's x axis points horizontally."""
+    """Return the yaw of T's x axis in the horizontal plane [rad]."""
     return math.atan2(T[1, 0], T[0, 0])
 
 
 def levelled(T_world_sensor: Pose) -> Pose:
-    """The frame at the same place with the same heading and its z axis up."""
+    """Return the frame at the same position and heading with a vertical z axis."""
     x, y, z = (float(v) for v in T_world_sensor[:3, 3])
     return yaw_transform(heading(T_world_sensor), (x, y, z))
 
 
 def upright(up: NDArray[np.float64]) -> Pose:
-    """T_local_sensor of a sensor in whose frame ``up`` points against gravity.
+    """Return T_local_sensor of a sensor in whose frame ``up`` is vertical.
 
-    The local frame has its z axis up; its x axis is the horizontal direction of the sensor's own,
-    or where that is vertical, its y axis that of the sensor's y axis.
+    The local frame has a vertical z axis and the heading of the sensor's x axis or, if that is
+    vertical, of its y axis.
     """
     z = up / np.linalg.norm(up)
     y = np.cross(z, (1.0, 0.0, 0.0))
@@ -80,39 +80,38 @@ def upright(up: NDArray[np.float64]) -> Pose:
 
 
 def orthonormal(T: Pose) -> Pose:
-    """T with its rotation replaced by the nearest true one (rounding errors removed)."""
+    """Return T with its rotation replaced by the nearest orthonormal one."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return rigid(R, T[:3, 3])
 
 
 def in_one_plane(cloud: NDArray[np.floating]) -> bool:
-    """Whether the points (N, 3) lie in one plane to ``FLAT_M``, as sweeps of a line scanner do."""
+    """Return whether points (N, 3) lie in one plane to ``FLAT_M``, as of a line scanner."""
     few = cloud[:: max(1, len(cloud) // 2000)].astype(np.float64)
     spread = np.linalg.svd(few - few.mean(axis=0), compute_uv=False)
     return bool(spread[-1] < FLAT_M * np.sqrt(len(few)))
 
 
 def arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Length of a polyline of (N, D) points up to each of them, (N,)."""
+    """Return the length of a polyline of (N, D) points up to each of them, (N,)."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(line)]
 
 
 def stations(way: NDArray[np.float64], every_m: float, first_m: float = 0.0) -> NDArray[np.int64]:
-    """Return the points of a trajectory to stop at every ``every_m`` of travel, in order.
+    """Return the points of a trajectory every ``every_m`` of travel, in order.
 
-    Each is the first point at or after a mark, so nothing is allocated for marks: a trajectory may
-    be long and the distance between marks short.
+    Each is the first point at or after a mark. Nothing is allocated for marks, which may be many.
 
     Parameters
     ----------
     way : (N,) float64
-        Metres travelled up to each point, from 0 on.
+        Distance travelled up to each point, from 0 [m].
     every_m : float
-        Positive.
+        Distance between marks, positive.
     first_m : float
-        Where the first mark is.
+        Distance of the first mark.
 
     Returns
     -------
@@ -133,14 +132,14 @@ def spread(length: int, count: int) -> list[int]:
 
 
 def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance travelled up to each of (N, 4, 4) poses, metres, (N,)."""
+    """Return the distance travelled up to each of (N, 4, 4) poses [m], (N,)."""
     return arc_length(poses[:, :3, 3])
 
 
 def rotated_covariance(
     covariance: NDArray[np.float64] | None, T_a_b: Pose
 ) -> NDArray[np.float64] | None:
-    """A (6, 6) covariance of (rotation, translation) given in frame a, seen from frame b.
+    """Rotate a (6, 6) covariance of (rotation, translation) from frame a to frame b.
 
     The two frames must share their origin.
     """
@@ -152,7 +151,7 @@ def rotated_covariance(
 
 
 def adjoint(T_a_b: Pose) -> NDArray[np.float64]:
-    """(6, 6) that takes small motions (rotation, translation) in frame b to the same in frame a."""
+    """Return the (6, 6) map of small motions (rotation, translation) from frame b to frame a."""
     R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     moved = np.zeros((6, 6))
@@ -162,9 +161,9 @@ def adjoint(T_a_b: Pose) -> NDArray[np.float64]:
 
 
 def carried_covariance(covariance: NDArray[np.float64], T_a_b: Pose) -> NDArray[np.float64]:
-    """A (6, 6) covariance of the pose of frame b, as one of frame a that is fixed to it.
+    """Convert a (6, 6) covariance of the pose of frame b to that of frame a, fixed to it.
 
-    Of a small rotation, then a translation, each in its own frame.
+    Covariances are of a small rotation, then a translation, each in its own frame.
     """
     moved = adjoint(T_a_b)
     carried: NDArray[np.float64] = moved @ covariance @ moved.T
@@ -172,7 +171,7 @@ def carried_covariance(covariance: NDArray[np.float64], T_a_b: Pose) -> NDArray[
 
 
 class Separation(Section):
-    """Poses closer than this are one place."""
+    """Least separation of distinct places."""
 
     metres: float = Field(3.0, gt=0, le=1000, description="horizontal distance, metres")
     degrees: float = Field(15.0, gt=0, le=180, description="difference of the headings, degrees")
@@ -194,7 +193,7 @@ class Separation(Section):
 
 
 def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArray[np.float64]:
-    """A pose's covariance as ROS has it (``geometry_msgs/PoseWithCovariance``).
+    """Convert a pose's covariance to that of ROS (``geometry_msgs/PoseWithCovariance``).
 
     Parameters
     ----------
@@ -205,7 +204,8 @@ def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArr
     Returns
     -------
     (6, 6) float64
-        Of x, y, z (m) and rotations about the fixed X, Y, Z axes (rad), all in the map's frame.
+        Covariance of x, y, z [m] and rotations about the fixed X, Y, Z axes [rad], in the map's
+        frame.
     """
     R = T_map_sensor[:3, :3]
     turn = np.zeros((6, 6))

@@ -20,7 +20,7 @@ _E = TypeVar("_E", bound="Explained")
 
 
 class Explained(str, Enum):
-    """Base of reasons: text that comes with the likely cause and its remedy.
+    """Base of reasons: text with its likely cause and remedy.
 
     Attributes
     ----------
@@ -109,14 +109,14 @@ class Reason(Explained):
 
 
 def ambiguous_with(T_map_other: Pose) -> str:
-    """Format the reason of a query that another (4, 4) pose explains about as well."""
+    """Format the reason of a query that also fits another (4, 4) pose."""
     x, y = T_map_other[:2, 3]
     return f"ambiguous (another place, at {x:.0f}, {y:.0f}, explains the query about as well)"
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place that a query may have been taken at.
+    """A possible place of a query.
 
     Attributes
     ----------
@@ -124,9 +124,9 @@ class Place:
     probability : float
         In [0, 1].
     inliers : int
-        Segments of the query that agree with the pose.
+        Number of query segments that agree with the pose.
     overlap : float
-        Share of the query that lies on the map there, in [0, 1].
+        Share of the query cloud that lies on the map at the pose, in [0, 1].
     """
 
     T_map_sensor: Pose
@@ -137,14 +137,14 @@ class Place:
 
 @dataclass(frozen=True)
 class NextView:
-    """A step that tells places apart which look alike from here.
+    """A step after which two similar places can be distinguished.
 
     Attributes
     ----------
     metres : float
-        How far to go.
+        Distance to go.
     bearing_deg : float
-        In which direction from the sensor's x axis, to the left positive [deg].
+        Direction from the sensor's x axis, positive to the left [deg].
     """
 
     metres: float
@@ -162,37 +162,37 @@ class NextView:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class _Answer:
-    """What both answers tell of the best candidate.
+    """Fields of both answers, about the best candidate.
 
     Attributes
     ----------
     inliers : int
-        Distinct segments that agree with it.
+        Number of distinct segments that agree with the pose.
     overlap : float
-        Share of the query cloud, up to the height that the map reaches there, that lies on the map
-        at it, in [0, 1].
+        Share of the query cloud that lies on the map at the pose, in [0, 1]; points above the map's
+        height there are excluded.
     seen : float or None
-        Share of the compared map points that the query sees there, in [0, 1]; the others are
-        free-space violations. None where nothing of the map is in view.
+        Share of the compared map points that the query sees, in [0, 1]; the others are free-space
+        violations. None if no map points are in view.
     proposer : str or None
-        What found the pose: "segments" (their matches), "stems", "occupancy", or a proposer of
-        your own. None if no pose was proposed.
+        Source of the pose: "segments" (their matches), "stems", "occupancy", or your own proposer.
+        None if no pose was proposed.
     rmse : float or None
-        Residual of the alignment, metres. None where nothing was aligned.
+        Residual of the alignment [m]. None without an alignment.
     confidence : float
-        Probability that it is right, in [0, 1]: that of the first of ``places``.
+        Probability that the pose is correct, in [0, 1]: that of the first of ``places``.
     places : tuple of Place
-        Distinct places that the query may be from, the likeliest first.
+        Distinct possible places, the most probable first.
     not_in_map : float
-        Probability that it is from none of them, in [0, 1].
+        Probability of none of these places, in [0, 1].
     counts : dict
-        How many items each stage produced.
+        Number of items of each stage.
     times_ms : dict
-        Milliseconds each stage took.
+        Time of each stage [ms].
     stamp : float or None
-        Stamp of the query's scan, seconds; None where it has none.
+        Stamp of the query's scan [s].
     attitude : "given", "estimated" or "assumed"
-        Where the query's roll and pitch come from: a pose or gravity, its scan, or nothing.
+        Source of the query's roll and pitch: a pose or gravity, the scan, or none.
     """
 
     inliers: int = 0
@@ -209,14 +209,14 @@ class _Answer:
     attitude: AttitudeSource = "given"
 
     def plot(self, prior_map: Any, axes: Axes | None = None) -> Axes:
-        """Draw the answer on the map, from above.
+        """Plot the answer on the map, from above.
 
         Parameters
         ----------
         prior_map : SegmentMap
-            The map that was localized in.
+            Map of the query.
         axes : matplotlib Axes, optional
-            By default those of a new figure.
+            Default: axes of a new figure.
 
         Raises
         ------
@@ -235,11 +235,10 @@ class Localized(_Answer):
     ----------
     T_map_sensor : (4, 4) float64
     covariance : (6, 6) float64 or None
-        Of a small rotation (rad, about x, y, z) and then a translation (m), both in the sensor's
-        frame: the true pose is ``T_map_sensor @ exp(delta)``. None where it is not known.
-        As wide as the errors are in simulated worlds; a map that is bent, and odometry that drifts
-        within an accumulated query, are not in it.
-        :func:`segloc.ros_covariance` gives ROS's.
+        Covariance of a small rotation [rad] (about x, y, z) and then a translation [m], both in the
+        sensor's frame: the true pose is ``T_map_sensor @ exp(delta)``. None if unknown. It matches
+        the errors in simulated worlds, and excludes distortion of the map and drift within an
+        accumulated query. :func:`segloc.ros_covariance` converts it to ROS.
     """
 
     T_map_sensor: Pose
@@ -277,8 +276,8 @@ class NotLocalized(_Answer):
     message : str
         The reason as a sentence, with its figures.
     next_view : NextView or None
-        A step after which the two likeliest places look different; None where none is needed, or
-        none is known.
+        A step after which the two most probable places can be distinguished; None if there is
+        none.
     """
 
     reason: Reason
@@ -289,7 +288,7 @@ class NotLocalized(_Answer):
     covariance: None = None
 
     def __str__(self) -> str:
-        step = "" if self.next_view is None else f"; {self.next_view} to tell places apart"
+        step = "" if self.next_view is None else f"; {self.next_view} to distinguish the places"
         return f"not localized: {self.message}{step}"
 
     def __repr__(self) -> str:
@@ -300,4 +299,4 @@ class NotLocalized(_Answer):
 
 
 Localization: TypeAlias = Localized | NotLocalized
-"""The answer to one query. ``if result.localized:`` tells them apart, for type checkers too."""
+"""The answer to one query. ``if result.localized:`` narrows the type."""

@@ -1,4 +1,4 @@
-"""The method on one page: scans -> query -> proposals -> fits -> posterior."""
+"""The method: scans -> query -> proposals -> fits -> posterior."""
 
 from __future__ import annotations
 
@@ -37,61 +37,58 @@ class TileSearch(Protocol):
 
 
 class InTiles(Protocol):
-    """A map in tiles, which says itself how it is searched: a :class:`segloc.tiles.TiledMap`."""
+    """A tiled map that provides its own search, such as :class:`segloc.tiles.TiledMap`."""
 
     def coarse(self) -> SegmentMap:
-        """The thin map of all tiles."""
+        """Return the thin map of all tiles."""
         ...
 
     def search(self, coarse: Localizer) -> TileSearch:
-        """The search in tiles, by the settings of a localizer in the thin map of all."""
+        """Return the search in tiles, with the settings of a localizer in the thin map."""
         ...
 
 
 class Localizer:
-    """Finds the pose of the sensor in a prior map, with no initial guess.
+    """Finds the pose of the sensor in a prior map, without an initial guess.
 
     Parameters
     ----------
     prior_map : SegmentMap or TiledMap
-        Of a map in tiles those are fetched and searched as one that a query may be in: near its
-        prior, or else where most of it agrees with a thin map of all tiles.
+        Of a tiled map, the tiles near the prior are fetched and searched as one; without a prior,
+        those with most votes in a thin map of all tiles.
     config : Config, optional
-        By default the one that the map was built with.
+        By default the configuration of the map.
     estimator : Estimator, optional
-        Estimates poses from matches of segments; by default as ``config.pose`` says.
+        Estimates poses from matches of segments; by default that of ``config.pose``.
     proposers : sequence of Proposer, optional
-        Tried in their order where segments are inconclusive; by default stems, then occupancy.
+        Tried in order if segments are inconclusive; by default stems, then occupancy.
     likelihood : Likelihood, optional
-        Compares clouds at poses; by default one for the map's own cloud.
+        Compares clouds at poses; by default that of the map's own cloud.
     clock : callable
-        What the times of the stages are measured by; returns seconds.
+        Clock of the times of stages; returns seconds.
 
     Attributes
     ----------
     prior_map : SegmentMap
-        Of tiles the thin map of all.
+        Of a tiled map, the thin map of all tiles.
     tiles : TiledMap or None
     notes : tuple of str
-        In what the configuration differs from the one that the map was built with, and from the
-        one that the confidence was fitted under.
+        Differences of the configuration from that of the map, and from that of the fit of the
+        confidence.
     clock : callable
-        As given.
 
     Raises
     ------
     MapMismatch
-        If the map was described by another method, by other weights or by another version of its
-        descriptor.
+        If the map has descriptors of another method, version or weights.
     ConfigError
-        If it is given something else than a map, or proposers or a likelihood for tiles.
+        If it is not given a map, or given proposers or a likelihood for tiles.
     MapFormatError
         If the thin map of all tiles cannot be read.
 
     Notes
     -----
-    Any number of threads may use one localizer at once: queries change nothing in it. It can be
-    pickled, and used on both sides of a fork.
+    Thread-safe: queries do not change it. It can be pickled, and used on both sides of a fork.
     """
 
     def __init__(
@@ -108,7 +105,7 @@ class Localizer:
         self.tiles = None if isinstance(prior_map, SegmentMap) else _tiles(prior_map)
         if self.tiles is not None:
             if proposers is not None or likelihood is not None:
-                raise ConfigError("proposers and a likelihood are of one map: tiles have none")
+                raise ConfigError("proposers and likelihood are not supported for tiled maps")
             prior_map = self.tiles.coarse()
         assert isinstance(prior_map, SegmentMap)
         config, self.notes = query_config(prior_map, config)
@@ -119,13 +116,14 @@ class Localizer:
         self.descriptor = create(prior_map.descriptor, threads, config.weights)
         if self.descriptor.dim != prior_map.dim:
             raise MapMismatch(
-                f"the map's vectors have {prior_map.dim} numbers, not {self.descriptor.dim}"
+                f"the map's vectors have {prior_map.dim} numbers, needs {self.descriptor.dim}: "
+                "build it again"
             )
         if self.descriptor.fingerprint != prior_map.fingerprint:
             raise MapMismatch(
-                f"the map was described by {prior_map.fingerprint}, not by "
-                f"{self.descriptor.fingerprint}: give the weights that it was built with, "
-                "or build it anew"
+                f"the map has descriptors of {prior_map.fingerprint}, not of "
+                f"{self.descriptor.fingerprint}: pass the weights that it was built with, "
+                "or build it again"
             )
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
@@ -135,28 +133,28 @@ class Localizer:
         self._tile_search = None if self.tiles is None else self.tiles.search(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled by its map and configuration, and made anew: so it goes to other processes."""
+        """Pickle the map and the configuration; unpickling builds a new localizer."""
         return _restored, (self.tiles or self.prior_map, self.config, *self._given)
 
-    def in_one_piece(self) -> Localizer:
-        """This localizer, if its map is not in tiles.
+    def require_untiled(self) -> Localizer:
+        """Return this localizer.
 
         Raises
         ------
         ConfigError
-            If it is: what is asked of it needs the whole map.
+            If the map is tiled.
         """
         if self.tiles is not None:
-            raise ConfigError("this needs a map in one piece: a file, and not tiles")
+            raise ConfigError("tiled maps are not supported here; pass a .segmap file")
         return self
 
     def around(self, position: Float64) -> Localizer | None:
-        """Return what holds the map around a (3,) position: of tiles the one there, if any.
+        """Return the localizer of the map around a (3,) position; of tiles, that of the tile there.
 
         Raises
         ------
         MapFormatError
-            If the tile cannot be had; names its file.
+            If the tile cannot be read; names its file.
         """
         return self if self._tile_search is None else self._tile_search.around(position)
 
@@ -167,32 +165,29 @@ class Localizer:
         near: Near | None = None,
         deadline_ms: float | None = None,
     ) -> Localization:
-        """The pose of the (last) scan in the map, or the reason why there is none.
+        """Estimate the pose of the (last) scan in the map; otherwise return the reason.
 
         Parameters
         ----------
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
-            One scan, or its points; or consecutive ones with odometry poses, of which the last is
-            the query.
+            One scan, or its points; or consecutive scans with odometry poses: the last one is the
+            query.
         near : Prior or (position, radius_m), optional
-            Where the sensor is known to be, in the map's frame: no other place is proposed or
-            answered, and none elsewhere makes it ambiguous. Where it is not found there, the
-            reason says so.
+            Known position of the sensor, in the map's frame. Places elsewhere are neither proposed
+            nor answered, and do not make the query ambiguous.
         deadline_ms : float, optional
-            No more candidates are tried after it: the answer is the verdict on those so far. The
-            first ones always are, so that a query may take longer.
+            Time after which no further candidates are proposed. The first ones are always verified,
+            so a query may take longer.
 
         Raises
         ------
         InvalidScan
-            If several scans are given without poses, or something else. Never raised for "not
-            found".
+            If several scans have no poses, or the type is wrong. Never raised for "not found".
         ConfigError
-            If ``near`` is no prior.
+            If ``near`` is not a prior.
         MapFormatError
-            If a tile that is needed is missing, damaged, or takes too long to come; names its
-            file. Nothing is answered from the others alone: they could not tell whether the place
-            is ambiguous.
+            If a required tile is missing, damaged or too slow to fetch; names its file. There is no
+            answer from the other tiles alone: it might be ambiguous.
         """
         times, prior = StageTimes(self.clock), Prior.of(near)
         result = self.locate(self.describe(scans, times), times, deadline_ms, prior)
@@ -203,7 +198,7 @@ class Localizer:
         return explained(result, given, self.prior_map, radius_m, prior)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
-        """Scans -> local cloud -> segments -> descriptors."""
+        """Compute the query: scans -> local cloud -> segments -> descriptors."""
         times = times or StageTimes(self.clock)
         with times("gathering"):
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
@@ -222,7 +217,7 @@ class Localizer:
         deadline_ms: float | None = None,
         near: Prior | None = None,
     ) -> Localization:
-        """The second half of :meth:`localize`."""
+        """Localize a query, the second half of :meth:`localize`."""
         times = times or StageTimes(self.clock)
         found = self.search(query, times, deadline_ms, near)
         result = answer(query, found, times.with_total())
@@ -243,10 +238,9 @@ class Localizer:
         *,
         thorough: bool = False,
     ) -> Search:
-        """Proposals -> fits -> posterior, with all that was considered.
+        """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        Where segments alone are decisive nothing else is asked. Else they are matched again with
-        more neighbours, and then the proposers are asked.
+        If segment matching is inconclusive, retry with more neighbours, then use the proposers.
 
         Parameters
         ----------
@@ -255,32 +249,32 @@ class Localizer:
         deadline_ms : float, optional
         near : Prior, optional
         thorough : bool
-            Ask all proposers, and measure everything: for fitting the model.
+            Use all proposers and measure everything, to fit the model.
 
         Raises
         ------
         ConfigError
-            If the map is in tiles, and ``thorough``.
+            If the map is tiled, and ``thorough``.
         MapFormatError
-            If a tile that is needed cannot be had; names its file.
+            If a required tile cannot be read; names its file.
         """
         times = times or StageTimes(self.clock)
         if self._tile_search is not None:
             if thorough:
-                self.in_one_piece()
+                self.require_untiled()
             return self._tile_search.search(query, times, deadline_ms, near)
         scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
-        enough = self.config.verification.min_confidence
+        min_confidence = self.config.verification.min_confidence
         found: Search | None = None
         for proposed in self._proposals(query, scorer, times, deadline_ms, near):
             if not proposed.suffices:
                 continue
             with times("verification"):
                 posterior = scorer.fit(proposed.candidates, proposed.inliers, thorough=thorough)
-            found = Search.of(proposed, posterior, scorer.fits, enough, near)
+            found = Search.of(proposed, posterior, scorer.fits, min_confidence, near)
             if found.reason is None and not thorough:
                 return found
-        assert found is not None  # the last proposals have to suffice
+        assert found is not None  # the last proposals always suffice
         if near and near.anywhere:
             return self.search(query, times, deadline_ms, thorough=thorough)
         return found
@@ -293,7 +287,7 @@ class Localizer:
         deadline_ms: float | None,
         near: Prior | None,
     ) -> Iterator[Proposed]:
-        """All candidates so far, time and again: by matches of segments, then by the proposers."""
+        """Yield all candidates so far, after each attempt: segment matches, then the proposers."""
         where = query.scene.segments.centroids, self.prior_map.centroids
         matcher = self._matcher_near(near)
         neighbours = matcher.neighbours(query.descriptors)
@@ -328,7 +322,7 @@ class Localizer:
                 return
 
     def _matcher_near(self, near: Prior | None) -> Matcher:
-        """What matches segments that are in view from near a prior."""
+        """Return a matcher of the segments in view from near a prior."""
         if near is None:
             return self.matcher
         reach_m = self.config.local_cloud.radius_m
@@ -338,14 +332,14 @@ class Localizer:
 def _tiles(given: InTiles) -> InTiles:
     if not (callable(getattr(given, "coarse", None)) and callable(getattr(given, "search", None))):
         raise ConfigError(
-            f"a Localizer needs a SegmentMap or a TiledMap, not {type(given).__name__}: see "
-            "SegmentMap.load(path) and segloc.tiles.TiledMap(place)"
+            f"a Localizer needs a SegmentMap or a TiledMap, not {type(given).__name__}: "
+            "load one by SegmentMap.load(path) or segloc.tiles.TiledMap(place)"
         )
     return given
 
 
 def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
-    """The proposers that the configuration enables, in the order in which they are tried."""
+    """Return the enabled proposers, in order of use."""
     cloud, origin = prior_map.cloud, prior_map.origin
     found: list[Proposer] = []
     if config.stems.enabled:
@@ -358,7 +352,7 @@ def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
 
 
 def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
-    """Compares a query with the map's own cloud."""
+    """Return the likelihood of the map's own cloud."""
     viewpoints = prior_map.trajectory[:, :3, 3]
     return Likelihood(
         prior_map.cloud,
@@ -372,7 +366,7 @@ def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
 
 
 def _counted(candidates: Sequence[Candidate], inliers: Callable[[Pose], int]) -> list[Candidate]:
-    """The candidates with the segments that agree with them by the newest matches."""
+    """Return the candidates with their inliers by the newest matches."""
     return [replace(c, inliers=inliers(c.T_map_local)) for c in candidates]
 
 

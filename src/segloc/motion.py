@@ -1,4 +1,4 @@
-"""Continuous motion: where a sensor is at any moment, and what that does to its scans."""
+"""Continuous motion of a sensor, and de-skewing of its scans."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_SCAN_S = 1.0  # point times farther from the stamp are on another clock
 
 @dataclass(frozen=True)
 class Motion:
-    """A path through space and time: linear in position and slerp in rotation between its knots.
+    """A trajectory over time: linear in position and slerp in rotation between its knots.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Motion:
     poses : (K, 4, 4) float64
         T_world_sensor.
     travelled : (K,) float64 or None
-        Metres travelled over ground up to each knot; None for the distances between the knots.
+        Distance travelled up to each knot [m]; None for the distances between the knots.
 
     Raises
     ------
@@ -48,12 +48,12 @@ class Motion:
             raise ConfigError("the stamps of a motion must rise")
 
     def _rotations(self, times: Float64) -> Float64:
-        # Copied: older SciPy refuses arrays that are read-only.
+        # Copied: older SciPy rejects read-only arrays.
         slerp = Slerp(self.stamps, Rotation.from_matrix(np.array(self.poses[:, :3, :3])))
         return np.asarray(slerp(times).as_matrix(), dtype=np.float64)
 
     def at(self, times: ArrayLike) -> Float64:
-        """Poses (N, 4, 4) at times (N,); before the first knot and after the last it rests.
+        """Return poses (N, 4, 4) at times (N,); constant before the first knot and after the last.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class Motion:
         """
         wanted = np.asarray(times, dtype=np.float64).reshape(-1)
         if not np.isfinite(wanted).all():
-            raise ConfigError("a motion is evaluated at a time that is not finite")
+            raise ConfigError("a time of a motion must be finite")
         inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
         T = np.tile(np.eye(4), (len(inside), 1, 1))
         T[:, :3, :3] = self._rotations(inside)
@@ -71,7 +71,7 @@ class Motion:
         return T
 
     def times_of(self, distances: Float64) -> Float64:
-        """When the sensor has travelled given distances (N,), metres."""
+        """Return the times of given distances travelled (N,) [m]."""
         distance = travelled(self.poses) if self.travelled is None else self.travelled
         return np.asarray(np.interp(distances, distance, self.stamps), dtype=np.float64)
 
@@ -79,7 +79,7 @@ class Motion:
 def interpolated(
     stamps: Float64, poses: Float64, times: ArrayLike, max_gap_s: float = np.inf
 ) -> Float64:
-    """Poses at given times between the poses of a track: linear in position, slerp in rotation.
+    """Interpolate poses at given times: linear in position, slerp in rotation.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ def interpolated(
     times : (N,) array
         Seconds, in any order.
     max_gap_s : float
-        Nothing is made up between two stamps that are farther apart.
+        Longest gap between stamps that is interpolated.
 
     Returns
     -------
     (N, 4, 4) float64
-        All NaN where there is no pose: before the first stamp, after the last, inside a gap, or
-        at a time that is not finite.
+        NaN without a pose: before the first stamp, after the last, inside a gap, or at a time
+        that is not finite.
 
     Raises
     ------
@@ -114,23 +114,23 @@ def interpolated(
     inside &= exact | (stamps[after] - stamps[after - 1] <= max_gap_s)
     if inside.any():
         found[inside] = motion.at(wanted[inside])
-    for knot in (after - 1, after):  # a pose at its own stamp is not computed anew
+    for knot in (after - 1, after):  # a pose at its own stamp stays exact
         same = wanted == stamps[knot]
         found[same] = poses[knot[same]]
     return found
 
 
 def deskew(scan: Scan, motion: Motion, start: float) -> Scan:
-    """Undo what the sensor's motion did to a scan: all points in the frame at its start.
+    """De-skew a scan: transform all points to the sensor's frame at its start.
 
     Parameters
     ----------
     scan : Scan
-        With ``times``, seconds from the scan's start.
+        Scan with ``times`` in seconds from its start.
     motion : Motion
-        Of the sensor, in any fixed frame: the truth, or as odometry or an IMU has it.
+        Motion of the sensor in any fixed frame, from ground truth, odometry or an IMU.
     start : float
-        When in the motion the scan starts.
+        Time of the scan's start in the motion [s].
 
     Raises
     ------
@@ -138,7 +138,7 @@ def deskew(scan: Scan, motion: Motion, start: float) -> Scan:
         If the points have no times.
     """
     if scan.times is None:
-        raise InvalidScan("a scan without times cannot be de-skewed")
+        raise InvalidScan("a scan without times cannot be de-skewed; pass Scan(points, times=...)")
     moments, which = np.unique(scan.times, return_inverse=True)
     T = motion.at(np.append(moments + start, start))
     relative = np.linalg.inv(T[-1]) @ T[:-1]
@@ -152,13 +152,13 @@ def at_stamp(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
     if motion is None or stamp is None or not times_fit(scan):
         return scan
     still = deskew(scan, motion, stamp)
-    still.times = None  # all points are of one moment now
+    still.times = None  # all points have the same time now
     still.dropped, still.missing_returns = scan.dropped, scan.missing_returns
     return still
 
 
 def times_fit(scan: Scan) -> bool:
-    """Whether points have times that can be seconds after the scan's stamp."""
+    """Return whether points have plausible times in seconds after the scan's stamp."""
     times = scan.times
     if times is None or not len(times):
         return False
@@ -168,16 +168,16 @@ def times_fit(scan: Scan) -> bool:
 def odometry_covariance(
     length: Float64, odometry_m: float, odometry_deg: float, odometry_scale: float
 ) -> Float64:
-    """What odometry errs over (N,) metres of travel: of rotation (rad), then translation (m).
+    """Return the covariance of odometry over (N,) distances: rotation [rad], then translation [m].
 
     Parameters
     ----------
     length : (N,) float64
-        Metres; the shortest counts as 5 cm.
+        Distances [m]; at least 5 cm is assumed.
     odometry_m, odometry_deg : float
-        Error after a metre, which grows with the root of the distance.
+        Error after 1 m; it grows with the root of the distance.
     odometry_scale : float
-        Error that grows with the distance.
+        Error per distance.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Intermediate results of a query, and the answer that its verdict gives."""
+"""Intermediate results of a query, and its answer."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .proposals.proposer import Query
 from .types import Candidate, LocalCloud, Matches, Pose, Scan
 
 NOT_FLAT = (
-    "unknown attitude (too little that is flat is in view to tell how the sensor stands, and taken "
-    "as level it is not found: give its gravity or a pose)"
+    "unknown attitude (too few flat surfaces to estimate roll and pitch, and not found as a level "
+    "sensor: pass gravity or a pose)"
 )
 
 _OF_THE_QUERY = (Reason.NO_POINTS, Reason.NO_SEGMENTS, Reason.AMBIGUOUS, Reason.UNKNOWN_ATTITUDE)
-"""Reasons that say nothing against the prior."""
+"""Reasons that do not contradict the prior."""
 
 _ALIGNED_M, _ARM_M = 2.0, 10.0
-"""How far alignment moves a candidate [m]; rotations are measured at the end of an arm [m]."""
+"""Largest motion of a candidate by alignment [m]; arm at which rotations are measured [m]."""
 
 
 @dataclass(frozen=True)
 class Proposed:
-    """All candidates until now.
+    """All candidates so far.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Proposed:
 
 @dataclass(frozen=True)
 class Search:
-    """What was found for one query, with all that was considered.
+    """Result of one search, with all intermediate results.
 
     Attributes
     ----------
@@ -62,16 +62,16 @@ class Search:
         Matches before pruning.
     matches : Matches
     candidates : list of Candidate
-        T_map_local, at different places, before they were compared with the map.
+        T_map_local, at different places, before verification.
     posterior : Posterior
     reason : Reason or None
         Why the most probable place is rejected; None if it is accepted.
     message : str
         The reason as a sentence with figures; "" if accepted.
     fits : sequence of Observation
-        What was measured at the places of the posterior.
+        Fits at the places of the posterior.
     near : Prior or None
-        Where alone was searched; None where all over the map.
+        Prior that restricted the search; None for the whole map.
     """
 
     proposed: int
@@ -92,7 +92,7 @@ class Search:
         min_confidence: float,
         near: Prior | None = None,
     ) -> Search:
-        """What is concluded from a posterior."""
+        """Return the result of a posterior."""
         reason = posterior.reason(min_confidence)
         if not proposed.candidates:
             reason = Reason.NO_CONSISTENT_MATCHES
@@ -102,9 +102,9 @@ class Search:
 
     @property
     def proposer(self) -> str | None:
-        """The proposer of the best pose: of candidates that are moved to it, segments come first.
+        """The proposer of the best pose; if several proposed it, segments come first.
 
-        None if there is no best pose.
+        None without a best pose.
         """
         best = self.posterior.best
         if best is None or not self.candidates:
@@ -118,7 +118,7 @@ class Search:
         return min(self.candidates, key=order).proposer
 
     def counts(self, query: Query) -> dict[str, int]:
-        """How many items each stage produced."""
+        """Return the number of items of each stage."""
         return {
             "scans": query.cloud.num_scans,
             "points": len(query.cloud.points),
@@ -130,14 +130,14 @@ class Search:
 
 
 def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Localization:
-    """What is told of a query.
+    """Return the answer of a query.
 
     Parameters
     ----------
     query : Query
     search : Search
     times_ms : dict
-        Milliseconds each stage took.
+        Time of each stage [ms].
     """
     posterior, T_local_sensor = search.posterior, query.cloud.T_local_sensor
     best, counts = posterior.best, search.counts(query)
@@ -172,18 +172,18 @@ def explained(
     radius_m: float,
     near: Prior | None,
 ) -> NotLocalized:
-    """Add what is wrong with the scans, the map or the prior, where that is why nothing is found.
+    """Explain a failure by faults of the scans, the map or the prior, if there are any.
 
     Parameters
     ----------
     result : NotLocalized
     scans : list of Scan
-        The query; empty where its points are not at hand as they were taken.
+        Scans of the query; empty if it was given as a local cloud.
     prior_map : SegmentMap
     radius_m : float
-        Points farther from the sensor are not in the query.
+        Range of the query's points [m].
     near : Prior or None
-        Where it was looked for.
+        Prior of the search.
     """
     why = ""
     if result.reason in (Reason.NO_POINTS, Reason.NO_SEGMENTS) and scans:
@@ -199,14 +199,14 @@ def explained(
 
 
 def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
-    """How far a prior lies outside of all that the map shows; "" if it does not."""
+    """Explain how far a prior lies outside of the map; "" if it is inside."""
     if len(near.rows(prior_map.centroids, reach_m)):
         return ""
     x, y = np.asarray(near.position)[:2]
     away = float(np.hypot(*(prior_map.centroids[:, :2] - (x, y)).T).min())
     low, high = prior_map.centroids.min(axis=0), prior_map.centroids.max(axis=0)
     spans = f"x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f}"
-    return f"the map is {away:.0f} m from there, it spans {spans}: is the prior in its frame?"
+    return f"the map is {away:.0f} m from there and spans {spans}: is the prior in its frame?"
 
 
 def _why(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What is known of where the sensor is before anything is looked at."""
+"""Prior: rough position and heading of the sensor."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from . import geometry
 from .errors import ConfigError
-from .system.checks import MOST_METRES
+from .system.checks import MAX_METRES
 from .types import Candidate, Float64, Int64, Pose
 
-MOST_RADIUS_M, MAX_HEADING_DEG = 1e6, 3600.0
+MAX_RADIUS_M, MAX_HEADING_DEG = 1e6, 3600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Prior:
     Raises
     ------
     ConfigError
-        If a number is missing, not finite or absurd.
+        If a number is missing, not finite or out of range.
     """
 
     position: ArrayLike
@@ -55,18 +55,22 @@ class Prior:
             heading = None if self.heading_deg is None else float(self.heading_deg)
             tolerance = float(self.heading_tolerance_deg)
         except (TypeError, ValueError) as error:
-            raise ConfigError("a prior is a position (x, y) or (x, y, z) and a radius") from error
-        if position.shape not in ((2,), (3,)) or not (np.abs(position) <= MOST_METRES).all():
             raise ConfigError(
-                f"the position of a prior is x, y and perhaps z, metres, not {self.position!r:.60}"
+                "a prior must be a position (x, y) or (x, y, z) and a radius"
+            ) from error
+        if position.shape not in ((2,), (3,)) or not (np.abs(position) <= MAX_METRES).all():
+            raise ConfigError(
+                f"prior: the position must be x, y or x, y, z in metres, not {self.position!r:.60}"
             )
-        if not 0 < radius <= MOST_RADIUS_M:
-            raise ConfigError(f"the radius of a prior is above 0 m, not {self.radius_m!r:.40}")
+        if not 0 < radius <= MAX_RADIUS_M:
+            raise ConfigError(f"prior: the radius must be above 0 m, not {self.radius_m!r:.40}")
         if heading is not None and not abs(heading) <= MAX_HEADING_DEG:
-            raise ConfigError(f"the heading of a prior is degrees, not {self.heading_deg!r:.40}")
+            raise ConfigError(
+                f"prior: the heading must be in degrees, not {self.heading_deg!r:.40}"
+            )
         if not 0 < tolerance <= 180:
             raise ConfigError(
-                f"the heading tolerance of a prior is 0 to 180 degrees, not {tolerance!r:.40}"
+                f"prior: the heading tolerance must be 0 to 180 degrees, not {tolerance!r:.40}"
             )
         position.setflags(write=False)
         object.__setattr__(self, "position", position)
@@ -83,7 +87,7 @@ class Prior:
 
     @classmethod
     def of(cls, near: Near | None) -> Prior | None:
-        """Return the prior that the argument stands for.
+        """Return the argument as a prior.
 
         Raises
         ------
@@ -97,7 +101,7 @@ class Prior:
                 raise TypeError
         except (TypeError, ValueError) as error:
             raise ConfigError(
-                "a prior is ((x, y), radius_m), ((x, y), radius_m, heading_deg) or a segloc.Prior, "
+                "a prior must be ((x, y), radius_m), ((x, y), radius_m, heading_deg) or a Prior, "
                 f"not {near!r:.60}"
             ) from error
         return cls(position, radius_m, heading_deg=heading[0] if heading else None)
@@ -109,7 +113,7 @@ class Prior:
         return found
 
     def holds(self, T_map_sensor: Pose) -> bool:
-        """Return whether a (4, 4) pose is within the radius, and has about the heading."""
+        """Return whether a (4, 4) pose is within the radius and the heading tolerance."""
         if not self.distances(T_map_sensor[None, :3, 3])[0] <= self.radius_m:
             return False
         if self.heading_deg is None:
@@ -124,7 +128,7 @@ class Prior:
 
 
 Near: TypeAlias = Prior | tuple[ArrayLike, float] | tuple[ArrayLike, float, float]
-"""A prior, or its position, its radius in metres, and perhaps its heading in degrees."""
+"""A prior, or its position, its radius [m], and optionally its heading [deg]."""
 
 
 def allowed(near: Prior | None) -> Callable[[Pose], bool]:

@@ -1,4 +1,4 @@
-"""The page over time: one posterior over where a robot is, carried on from view to view."""
+"""Localization over time: one posterior over the place of a robot, updated view by view."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ from .tracking.belief import Belief, BeliefConfig, Reading, Status, View
 from .types import Float64, LocalCloud, Pose, Scan
 
 QueryCallback = Callable[[Query, Search, Mapping[str, float]], None]
-"""Receives a query, what its search found, and the milliseconds of each stage."""
+"""Receives a query, the result of its search, and the time of each stage [ms]."""
 
-_TINY = 1e-300
-_CHECKED, _LEAST_CHECKED = 3, 0.01
-"""The hypotheses that a scan is compared at, at most, and how probable they are at least."""
+_MIN_RATIO_TERM = 1e-300
+_MAX_CHECKED, _MIN_CHECKED_P = 3, 0.01
+"""Most hypotheses that a scan is compared at, and their least probability."""
 
 
 class TrackerConfig(BeliefConfig):
-    """When views are taken, of what, and what is concluded from them."""
+    """Rate of views, their clouds, and the filter over them."""
 
-    accumulate: bool = Field(False, description="search with the scans of the last stretch of path")
+    accumulate: bool = Field(
+        False, description="search with the accumulated scans of the last stretch"
+    )
     every_m: float = Field(0.0, ge=0, description="travel between searches while localized [m]")
     searching_m: float = Field(4.0, ge=0, description="travel between searches otherwise [m]")
     check_m: float = Field(
@@ -52,15 +54,15 @@ class Track:
     ----------
     status : Status
     T_map_odom : (4, 4) float64 or None
-        Takes poses of the odometry to the map; None while lost or candidate.
+        Transforms odometry poses to the map; None while lost or candidate.
     confidence : float
-        Probability of the likeliest place, in [0, 1].
+        Probability of the most probable place, in [0, 1].
     views : int
-        Independent views that agree with it.
+        Number of independent views that support it.
     reason : str
-        Why it is not known better; "" when localized.
+        Why the status is not better; "" when localized.
     covariance : (6, 6) float64 or None
-        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+        Covariance of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
     """
 
     status: Status
@@ -78,10 +80,10 @@ class Track:
 
 @dataclass(frozen=True)
 class QueryRequest:
-    """A view that is due, with all that it takes to compute it elsewhere and later.
+    """A view that is due, with its inputs: any thread can compute it later.
 
-    With ``search``, the map is searched for ``scans``. The ``newest`` is compared with it at the
-    ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
+    With ``search``, the map is searched for ``scans``. The ``newest`` scan is compared with the map
+    at the ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
     """
 
     search: bool
@@ -95,19 +97,19 @@ class QueryRequest:
 class Tracker:
     """Localizes a robot over successive queries by a Bayes filter.
 
-    Places found by queries become hypotheses. Odometry moves them, blurs them, and leaks their
-    probability to "lost"; views weigh them against each other and against "lost".
+    Places found by queries become hypotheses. Odometry moves and blurs them, and leaks their
+    probability to "lost". Views update their probabilities and that of "lost".
 
     Parameters
     ----------
     localizer : Localizer
     config : TrackerConfig, optional
-        With ``accumulate``, give every scan to :meth:`update`, at the rate at which they come.
+        With ``accumulate``, pass every scan to :meth:`update`, at the rate of the sensor.
 
     Attributes
     ----------
     rolling : RollingCloud or None
-        The scans that searches accumulate.
+        Accumulated scans of the next search.
     belief : Belief
     travelled : float
         Distance travelled [m].
@@ -116,8 +118,8 @@ class Tracker:
     def __init__(self, localizer: Localizer, config: TrackerConfig | None = None) -> None:
         self.localizer, self.config = localizer, config or TrackerConfig()
         settings = localizer.config
-        least, separation = settings.verification.min_confidence, settings.pose.separation
-        self.belief = Belief(self.config, least, separation)
+        verification, separation = settings.verification, settings.pose.separation
+        self.belief = Belief(self.config, verification.min_confidence, separation)
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
         self._searched = self._checked = self._begun = -math.inf  # distances travelled
@@ -127,14 +129,14 @@ class Tracker:
             self.rolling = RollingCloud(settings.local_cloud, voxel_size)
 
     def update(self, scans: Scans | LocalCloud, T_odom_sensor: ArrayLike) -> Track:
-        """Take the next query, or the next scan of one.
+        """Process the next query, or the next scan of one.
 
         Parameters
         ----------
         scans : Scan, (N, 3) array, list of Scan, or LocalCloud
             As for :meth:`Localizer.localize`; one scan if the tracker accumulates.
         T_odom_sensor : (4, 4) array
-            Pose of the (last) scan's sensor in the odometry's frame, whose z axis points up.
+            Pose of the (last) scan's sensor in the odometry's frame, whose z axis is vertical.
 
         Raises
         ------
@@ -154,7 +156,7 @@ class Tracker:
             return Track(status, None, 0.0, 0, reason)
         best = self.belief.hypotheses[0]
         known = best.probability, int(best.views), reason
-        if not best.believed or self._last is None:
+        if not best.accepted or self._last is None:
             return Track(status, None, *known)
         return Track(status, best.T_map_odom, *known, self.belief.covariance(self._last))
 
@@ -163,7 +165,7 @@ class Tracker:
     ) -> QueryRequest | None:
         """Add scans, the first third of :meth:`update`; return a request if a view is due.
 
-        With ``due``, a search is, however short the travel since the last one.
+        With ``due``, a search is due after any distance.
         """
         T, config = checked_pose(T_odom_sensor, "T_odom_sensor"), self.config
         if self.rolling is not None:
@@ -178,7 +180,9 @@ class Tracker:
         localized = self.belief.status()[0] is Status.LOCALIZED
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
-        likely = [h for h in self.belief.hypotheses[:_CHECKED] if h.probability > _LEAST_CHECKED]
+        likely = [
+            h for h in self.belief.hypotheses[:_MAX_CHECKED] if h.probability > _MIN_CHECKED_P
+        ]
         if search or (likely and self.travelled - self._checked >= config.check_m):
             return self._request(scans, T, search, {h.key: h.T_map_odom for h in likely})
         return None
@@ -207,27 +211,29 @@ class Tracker:
         deadline_ms: float | None = None,
         *,
         near: Prior | None = None,
-        heard: QueryCallback | None = None,
+        callback: QueryCallback | None = None,
     ) -> View:
         """Compute a view, the second third of :meth:`update`; any thread may.
 
-        ``deadline_ms`` and ``near`` bound the search as in :meth:`Localizer.localize`; ``heard``
-        receives what it found.
+        ``deadline_ms`` and ``near`` bound the search as in :meth:`Localizer.localize`; ``callback``
+        receives its result.
         """
         view, localizer = request.view, self.localizer
         if request.search:
             times = StageTimes(localizer.clock)
             query = localizer.describe(request.scans, times)
             found = localizer.search(query, times, deadline_ms, near)
-            if heard is not None:
-                heard(query, found, times.with_total())
+            if callback is not None:
+                callback(query, found, times.with_total())
             posterior = found.posterior
             view = replace(
                 view,
                 places=[
                     _reading(
                         pose,
-                        math.log(max(p, _TINY) / max(posterior.not_in_map, _TINY)),
+                        math.log(
+                            max(p, _MIN_RATIO_TERM) / max(posterior.not_in_map, _MIN_RATIO_TERM)
+                        ),
                         query.cloud,
                         view,
                     )
@@ -255,40 +261,40 @@ class Tracker:
         return replace(view, checks=checks)
 
     def take(self, request: QueryRequest, view: View) -> None:
-        """Weigh the hypotheses by a view, the last third of :meth:`update`."""
+        """Update the hypotheses by a view, the last third of :meth:`update`."""
         if request.epoch == self._epoch and self.belief.update(view):
-            self._begin_anew()
+            self._restart_window()
 
-    def carry(self, T_new_old: ArrayLike, doubt: str) -> None:
-        """Follow a jump of the odometry, as if the robot had stood still; less is certain then.
+    def follow_jump(self, T_new_old: ArrayLike, problem: str) -> None:
+        """Follow a jump of the odometry, as of a robot at rest; the track becomes less certain.
 
         Parameters
         ----------
         T_new_old : (4, 4) array
-            From the odometry's frame before the jump to that after it.
-        doubt : str
-            What happened.
+            Transform from the odometry's frame before the jump to that after it.
+        problem : str
+            Description of the jump.
         """
         T = checked_pose(T_new_old, "T_new_old")
-        self.belief.carry(T, doubt)
+        self.belief.follow_jump(T, problem)
         if self._last is not None:
             self._last = T @ self._last
         self._searched = -math.inf
-        self._begin_anew()
+        self._restart_window()
 
     def forget(self) -> None:
-        """Forget all hypotheses, keep the scans, and search at once."""
+        """Drop all hypotheses, keep the scans, and search at once."""
         self.belief.clear()
         self._searched, self._epoch = -math.inf, self._epoch + 1
 
     def clear(self) -> None:
-        """Forget all hypotheses and all scans."""
+        """Drop all hypotheses and all scans."""
         self.forget()
         self._last = None
-        self._begin_anew()
+        self._restart_window()
 
-    def _begin_anew(self) -> None:
-        """Search with the scans from now on."""
+    def _restart_window(self) -> None:
+        """Drop the accumulated scans; searches use later ones only."""
         self._begun, self._epoch = self.travelled, self._epoch + 1
         if self.rolling is not None:
             self.rolling.clear()
@@ -302,7 +308,7 @@ def _reading(pose: ScoredPose, log_ratio: float, cloud: LocalCloud, view: View) 
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:
-    """The last scan alone; None if it cannot be told from the others."""
+    """Return the last scan alone; None if it cannot be separated from the others."""
     if isinstance(scans, np.ndarray):
         return Scan(scans, T_odom_sensor=T_odom_sensor)
     if isinstance(scans, Scan):

@@ -1,4 +1,4 @@
-"""The data that flows through the pipeline: small frozen dataclasses over arrays."""
+"""Data types of the pipeline: small frozen dataclasses over arrays."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .system.returns import measured_points
 
 Int64 = NDArray[np.int64]
 AttitudeSource = Literal["given", "estimated", "assumed"]
-"""Where roll and pitch come from: a pose or gravity, the scan itself, or nothing."""
+"""Source of roll and pitch: a pose or gravity, the scan itself, or none."""
 
 
 class Scan:
-    """One point cloud as a sensor saw it.
+    """One point cloud of a sensor.
 
     Parameters
     ----------
@@ -46,14 +46,13 @@ class Scan:
     Attributes
     ----------
     points : (M, 3) float32, C-contiguous
-        The usable points. The others are dropped with their times.
+        Usable points. The others are dropped with their times.
     dropped : int
-        Number of points with a coordinate that is NaN, infinite, or beyond ``MOST_METRES``.
+        Number of points with a coordinate that is NaN, infinite, or beyond ``MAX_METRES``.
     missing_returns : int
-        Number of points that stand for firings without a return: many on one spot, or many at one
-        range.
+        Number of points of firings without a return: many at one position, or many at one range.
     kept : (N,) bool or None
-        Mask of the given points that are kept; None: all.
+        Mask of the given points that are kept; None for all.
 
     Raises
     ------
@@ -109,7 +108,7 @@ class Scan:
 
 
 class Recording(Protocol):
-    """Scans in the order of their time: the protocol of everything that can be mapped or localized.
+    """Scans in the order of their time: the protocol of recordings.
 
     Attributes
     ----------
@@ -139,7 +138,7 @@ class Recording(Protocol):
 
 
 def stamp_at(recording: Recording, i: int) -> float | None:
-    """The time of the scan at position i, seconds; None where the recording has no times."""
+    """Return the time of the scan at position i [s]; None if the recording has no times."""
     stamps = recording.stamps
     return None if stamps is None else float(stamps[i])
 
@@ -150,17 +149,17 @@ class MemoryRecording:
     Parameters
     ----------
     scans : list of Scan or of (N, >=3) arrays
-        In the order in which they were taken.
+        Scans in the order of their time.
     poses : (K, 4, 4) array, optional
         T_odom_sensor of each scan; by default the scans' own, if all have one.
     stamps : (K,) array, optional
-        Times of the scans, seconds; by default the scans' own, if all have one.
+        Times of the scans [s]; by default the scans' own, if all have one.
     name : str
 
     Raises
     ------
     InvalidScan
-        If a scan or a pose is none; names the first that is.
+        If a scan or a pose is invalid; names the first.
     DatasetError
         If there is no scan, the lengths differ, or some scans have a pose and others have none.
     """
@@ -190,7 +189,7 @@ class MemoryRecording:
         return f"MemoryRecording({self.name!r}, {len(self)} scans {posed})"
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i (0 to K - 1), with its stamp and its pose where they are known."""
+        """Return the scan at position i (0 to K - 1), with its stamp and pose if known."""
         scan = copy.copy(self._scans[i])
         scan.T_odom_sensor = None if self.poses is None else self.poses[i].copy()
         scan.stamp = None if self.stamps is None else float(self.stamps[i])
@@ -235,17 +234,17 @@ def _scan_at(i: int, given: Scan | ArrayLike) -> Scan:
 
 
 Scanned: TypeAlias = "Recording | Iterable[Scan | ArrayLike]"
-"""What recordings are made of: one, or scans or clouds in memory."""
+"""A recording, or scans or clouds in memory."""
 
 
 def as_recording(given: Scanned, poses: ArrayLike | None = None) -> Recording:
-    """A recording of what a caller gives as one: itself, or a :class:`MemoryRecording`.
+    """Return the argument as a recording: itself, or a :class:`MemoryRecording`.
 
     Parameters
     ----------
     given : Recording, or list of Scan or of (N, >=3) arrays
     poses : (K, 4, 4) array, optional
-        T_odom_sensor of each scan, in place of those that they have.
+        T_odom_sensor of each scan, in place of its own.
 
     Raises
     ------
@@ -267,7 +266,7 @@ def as_recording(given: Scanned, poses: ArrayLike | None = None) -> Recording:
 
 @dataclass(frozen=True)
 class LocalCloud:
-    """Points around one pose of the sensor, gathered from one scan or from several.
+    """Points around one pose of the sensor, from one or several scans.
 
     The local frame has its origin at the reference sensor and its z axis up; its x axis is the
     heading of the sensor.
@@ -275,23 +274,23 @@ class LocalCloud:
     Attributes
     ----------
     points : (N, 3) float32
-        Local frame, metres.
+        Points in the local frame [m].
     T_local_sensor : (4, 4) float64
-        The reference sensor's pose in the local frame: roll and pitch, no translation.
+        Pose of the reference sensor in the local frame: roll and pitch, no translation.
     num_scans : int
-        How many scans the points come from.
+        Number of scans.
     stamp : float or None
         Stamp of the reference scan.
     attitude : "given", "estimated" or "assumed"
-        Where the roll and pitch in ``T_local_sensor`` come from.
+        Source of the roll and pitch in ``T_local_sensor``.
     voxel_size : float or None
-        Edge of the voxels of which each has one point, in their order, metres; None if not known.
+        Edge of the voxel grid with one point per voxel, in order [m]; None if unknown.
 
     Raises
     ------
     InvalidScan
-        If a shape or dtype is wrong, or a value is not finite or beyond all reason. Other float
-        types and layouts are converted.
+        If a shape or dtype is wrong, or a value is not finite or too large. Other float types and
+        layouts are converted.
     """
 
     points: Float32
@@ -326,12 +325,12 @@ class Segments:
     centroids : (P, 3) float64
         Mean of each segment's points, local frame.
     heights : (P,) float32
-        Height of each centroid above the ground below it, metres.
+        Height of each centroid above the ground below it [m].
 
     Raises
     ------
     InvalidScan
-        If shapes do not fit, or a value is not finite or beyond ``MOST_LOCAL_METRES``; names the
+        If shapes do not fit, or a value is not finite or beyond ``MAX_LOCAL_METRES``; names the
         field and the row.
     """
 
@@ -351,7 +350,7 @@ class Segments:
         heights = checks.checked_rows(self.heights, "heights", (count,), np.float32)
         checked = {"points": points, "offsets": offsets, "centroids": centroids, "heights": heights}
         for name, rows in checked.items():
-            checks.check_finite(rows, name, checks.MOST_LOCAL_METRES)  # whole numbers pass
+            checks.check_finite(rows, name, checks.MAX_LOCAL_METRES)  # whole numbers pass
             object.__setattr__(self, name, rows)
 
     def __len__(self) -> int:
@@ -363,7 +362,7 @@ class Segments:
         return np.diff(self.offsets)
 
     def segment(self, index: int) -> Float32:
-        """The (n, 3) points of one segment."""
+        """Return the (n, 3) points of one segment."""
         return self.points[self.offsets[index] : self.offsets[index + 1]]
 
 
@@ -374,9 +373,9 @@ class Descriptors:
     Attributes
     ----------
     vectors : (P, dim) float32
-        Compared by Euclidean distance.
+        Vectors, compared by Euclidean distance.
     quality : (P,) float32 or None
-        In [0, 1]: how likely a match of this descriptor is to be right.
+        Probability that a match of the descriptor is correct, in [0, 1].
     """
 
     vectors: Float32
@@ -388,7 +387,7 @@ class Descriptors:
 
 @dataclass(frozen=True)
 class Matches:
-    """Candidate pairs (query segment, map segment), best first (the order that PROSAC needs).
+    """Candidate pairs (query segment, map segment), best first (the order of PROSAC).
 
     Attributes
     ----------
@@ -397,7 +396,7 @@ class Matches:
     distance : (M,) float32
         Euclidean distance of the descriptors.
     score : (M,) float32
-        Falling; higher is more likely to be right.
+        Scores, descending; higher is more probable.
     """
 
     query: Int64
@@ -411,19 +410,18 @@ class Matches:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose on which many matches agree, or at which clouds look alike, before it is verified.
+    """A pose from matches or from similar clouds, before verification.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     inliers : int
-        Distinct query segments that agree with the pose (one map segment each).
+        Number of distinct query segments that agree with the pose (one map segment each).
     fit : float or None
-        Share of what the query shows standing that stands in the map, too, less what it costs where
-        the map has something and the query sees the ground; in [0, 1]. None where the pose comes
-        from matches.
+        Share of the query's occupied cells that are occupied in the map, less a cost of map cells
+        where the query sees ground; in [0, 1]. None for poses from matches.
     proposer : str
-        Name of the proposer that found the pose.
+        Name of the proposer of the pose.
     """
 
     T_map_local: Pose
@@ -437,7 +435,7 @@ SourceT = TypeVar("SourceT", bound=Recording)
 
 @dataclass(frozen=True)
 class Derived(Generic[SourceT]):
-    """A recording made of another's scans. Its poses are for the subclass to say."""
+    """A recording of another's scans; the subclass defines its poses."""
 
     source: SourceT
 
@@ -457,13 +455,13 @@ class Derived(Generic[SourceT]):
         return len(self.source)
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i."""
+        """Return the scan at position i."""
         return self.source.scan(i)
 
 
 @dataclass(frozen=True)
 class Reposed(Derived[Recording]):
-    """The scans of a recording with poses of one's own.
+    """The scans of a recording with other poses.
 
     Attributes
     ----------
@@ -485,7 +483,7 @@ class Reposed(Derived[Recording]):
             )
 
     def scan(self, i: int) -> Scan:
-        """The scan at position i, with the pose it has here."""
+        """Return the scan at position i, with its pose in this recording."""
         scan = super().scan(i)
         scan.T_odom_sensor = self.poses[i].copy()
         return scan

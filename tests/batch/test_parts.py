@@ -52,15 +52,15 @@ def test_any_executor_gives_the_same(
     place: Path, drive: PlazaSequence, expected: list[Localization], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "QUERIES", 3)
-    said: list[tuple[int, int]] = []
+    output: list[tuple[int, int]] = []
     assert any(each.localized for each in expected)
     with ThreadPoolExecutor(2) as threads, single_threaded_pool(2) as processes:
         for executor in (threads, processes):
             found = localize_parts(
-                str(place), GEO, drive, np.arange(COUNT), executor, lambda *at: said.append(at)
+                str(place), GEO, drive, np.arange(COUNT), executor, lambda *at: output.append(at)
             )
             assert same(found, expected)
-    assert said[-1] == (COUNT, COUNT)
+    assert output[-1] == (COUNT, COUNT)
 
 
 def test_parts_know_the_prior_and_their_faults(place: Path, drive: PlazaSequence) -> None:

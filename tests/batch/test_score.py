@@ -15,7 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from segloc.batch.picture import draw
 from segloc.batch.run import query_positions
-from segloc.batch.score import Evaluation, Tolerance, distances_to_path, pose_errors
+from segloc.batch.score import (
+    RECORD,
+    SUMMARY,
+    Evaluation,
+    Tolerance,
+    distances_to_path,
+    pose_errors,
+)
 from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
@@ -108,6 +115,7 @@ def test_every_query_is_counted_once(evaluation: Evaluation) -> None:
     assert summary["translation_error_m"]["median"] == pytest.approx((0.5 + 2.9) / 2)
     assert summary["rotation_error_deg"]["median"] == pytest.approx(2.45)
     json.dumps(summary, allow_nan=False)
+    assert list(summary) == list(SUMMARY)
 
 
 def test_tolerances_decide(evaluation: Evaluation) -> None:
@@ -124,6 +132,7 @@ def test_records_hold_no_nan_and_keep_times_apart(evaluation: Evaluation) -> Non
     assert [r["index"] for r in records] == list(range(100, 106))
     for record in records:
         json.dumps(record, allow_nan=False)
+        assert list(record) == list(RECORD)
     assert records[3]["T_map_sensor"] is None and records[3]["translation_error_m"] is None
     assert records[3]["rmse"] is None and records[3]["ms"] == {"total": None}
     assert records[4]["distance_to_map_m"] == pytest.approx(9.0)
@@ -132,7 +141,7 @@ def test_records_hold_no_nan_and_keep_times_apart(evaluation: Evaluation) -> Non
     assert records[0]["not_in_map"] == 0.25
 
 
-def test_without_truth_nothing_is_judged(evaluation: Evaluation) -> None:
+def test_without_truth_nothing_is_scored(evaluation: Evaluation) -> None:
     blind = Evaluation(evaluation.indices, evaluation.results, line([0]))
     summary = blind.summary()
     assert summary["correct"] is None and summary["false"] is None

@@ -143,7 +143,7 @@ def test_explain_prints_a_verdict_and_writes_a_page(
     np.save(tmp_path / "0.npy", POINTS_ASIDE)
     np.save(tmp_path / "1.npy", 1000 * POINTS_ASIDE)
     html = tmp_path / "page.html"
-    for scan, said in [
+    for scan, expected in [
         (site.run / "0004.npy", r"^localized at x "),
         (tmp_path / "0.npy", r"^not localized, "),
         (tmp_path / "1.npy", r"^not localized, no points: .*\nproblem: half of .* in millimetres"),
@@ -151,7 +151,7 @@ def test_explain_prints_a_verdict_and_writes_a_page(
         capsys.readouterr()
         assert run("explain", scan, "--map", site.map, "--html", html) == 0
         out = capsys.readouterr().out
-        assert re.search(said, out), out
+        assert re.search(expected, out), out
         text = html.read_text("utf-8")
         assert text.count("data:image/png;base64,") in (2, 5)
         assert not re.search(r"(src|href)=\"(?!data:)", text) and "http" not in text

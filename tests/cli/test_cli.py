@@ -262,11 +262,11 @@ def test_poses_for_some_of_the_scans(
         (["localize", *posed, *there, "--truth", few], "11 of 15 scans are not scored"),
         (["localize", toy.run_2, *there, "--truth", some], "15 of 30 scans are not scored"),
     ]
-    for words, said in cases:
+    for words, expected in cases:
         capsys.readouterr()
         shutil.rmtree(out, ignore_errors=True)
         assert run(*words) == 0, words
-        assert said in "".join(capsys.readouterr()), words
+        assert expected in "".join(capsys.readouterr()), words
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["queries"], summary["false"]) == (15, 0)
 

@@ -72,8 +72,8 @@ def faults(command: Any, words: list[str], whole: bool) -> list[str]:
         try:
             command.make_context(command.name, words)
         except Exception as error:
-            said = getattr(error, "format_message", error.__str__)
-            return [said()]
+            output = getattr(error, "format_message", error.__str__)
+            return [output()]
         return []
     known = {option for parameter in command.params for option in _options(parameter)}
     given = (word.partition("=")[0].rstrip(".,") for word in words if word.startswith("-"))

@@ -1,4 +1,4 @@
-"""What ``--help`` says: the verbs in the order of use, a default and a unit of every option."""
+"""The output of ``--help``: the verbs in the order of use, a default and a unit of every option."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ EVERY = [each for each in verbs() if each[0].split()[1] in OWN]
 @pytest.mark.parametrize(("name", "command"), EVERY, ids=[name for name, _ in EVERY])
 def test_every_argument_says_what_it_is_and_its_default(name: str, command: Any) -> None:
     own = command.callback.__module__.startswith("segloc.")
-    assert (command.help or "").strip(), f"{name} says nothing of itself"
+    assert (command.help or "").strip(), f"{name} has no help"
     for option in command.params if own else ():
         if option.name == "help":
             continue
-        assert (option.help or "").strip(), f"{name}: {option.name} says nothing"
+        assert (option.help or "").strip(), f"{name}: {option.name} has no help"
         assert option.metavar or option.is_flag, f"{name}: {option.name} names no unit or kind"
         told = option.required or isinstance(option.show_default, str)
         assert told or option.default not in (None, "", [], ()), f"{name}: {option.name}: default?"
@@ -65,12 +65,12 @@ def test_every_verb_on_a_recording_takes_a_part_of_it(name: str, command: Any) -
 def test_defaults_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
     """Also those that are no value: brackets in a help text would be taken for markup."""
     assert run("localize", "--help") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "[default: (its own)]" in said and "[default: (all)]" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "[default: (its own)]" in output and "[default: (all)]" in output
 
 
 def loaded(*words: str) -> set[str]:
-    """The modules that a command loads, which says something and ends."""
+    """The modules that a command loads, which prints something and ends."""
     code = (
         "import atexit, sys; from segloc.cli import main; "
         "atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "

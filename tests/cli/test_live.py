@@ -13,6 +13,8 @@ from samples.walk import run
 
 from segloc import Config, build_map, geometry
 from segloc.io import Trajectory, read_trajectory, write_tum
+from segloc.live.core import RECORD
+from segloc.live.replay import SUMMARY
 
 SCANS = 14
 
@@ -56,13 +58,15 @@ def test_a_recording_is_followed_whatever_frame_its_odometry_is_in(
         records = [json.loads(line) for line in (out / "states.jsonl").read_text().splitlines()]
         assert [r["index"] for r in records] == list(range(SCANS))
         assert {r["state"] for r in records} == {"localized"}
+        assert all(r.keys() == RECORD.keys() for r in records)
+        assert facts.keys() == SUMMARY.keys()
         found, truth = read_trajectory(out / "poses.tum"), read_trajectory(place / "truth.tum")
         assert np.abs(found.poses - truth.poses).max() < 0.3
         found_poses.append(np.array([r["T_map_base"] for r in records]))
     assert np.allclose(*found_poses, atol=0.1)  # where the odometry begins tells nothing
-    printed, said = capsys.readouterr()
+    printed, output = capsys.readouterr()
     assert "first fix after" in printed and "false track" in printed
-    assert said.count("localized at -1") == 2
+    assert output.count("localized at -1") == 2
 
 
 @pytest.mark.slow
@@ -89,12 +93,12 @@ def test_what_cannot_be_followed_is_refused(
     place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--map", place / "plaza.segmap", "--out", tmp_path / "out"]
-    for more, said in (
+    for more, expected in (
         (["--poses", place / "truth.tum", "--odometry"], "exclude each other"),
         (["--poses", place / "nowhere.tum"], "no such file"),
     ):
         capsys.readouterr()
         assert run("live", place / "drive", *options, *more) == 1
         error = capsys.readouterr().err
-        assert error.startswith("segloc: error: ") and said in error and error.count("\n") == 1
+        assert error.startswith("segloc: error: ") and expected in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()

@@ -200,13 +200,13 @@ def test_the_page_shows_the_map_and_the_queries(
     assert len(text) < 20e6 and not re.search(r"<(script|link|img)[^>]+(src|href)=.?http", text)
     page.open(file.as_uri())
     assert page.until("!!document.querySelector('[role=slider]')")
-    said = "document.querySelector('#segloc').innerText"
+    output = "document.querySelector('#segloc').innerText"
 
     def choose(query: int, expected: str) -> None:
         box = "const box = document.querySelector('#segloc select')"
         # In one go: the page itself moves its box as it plays.
         page.value(f"{{ {box}; box.value = {query}; box.dispatchEvent(new Event('change')); }}")
-        assert page.until(f"{said}.includes('{expected}')"), page.value(said)
+        assert page.until(f"{output}.includes('{expected}')"), page.value(output)
         page.wait(3.0)
 
     choose(0, "0: found")

@@ -106,7 +106,7 @@ def test_point_clouds_of_any_layout(
     big: bool,
     fields: list[PointField],
 ) -> None:
-    """A layout that fits gives at most as many points as it says; any other, one line."""
+    """A layout that fits gives at most its declared number of points; any other, one line."""
     content = np.frombuffer(data, np.uint8) if data else np.empty(0, np.uint8)
     message = Message(height, width, step, stride, content, big, fields)
     try:

@@ -91,9 +91,9 @@ def test_poses_that_come_seldom_are_no_gaps(lost_s: float, gaps: int, tmp_path: 
         writer.cloud("/points", stamp, seen(VLP16))
         writer.odometry("/odom", stamp, pose, "lidar")
     recording = open_sequence(writer.write(tmp_path / "drive"))
-    said = "\n".join(inspect(recording, 4).problems)  # type: ignore[arg-type]
-    assert said.count("gaps in the poses, the longest 10.5 s") == gaps
-    assert said.count("gaps in the poses") == gaps
+    output = "\n".join(inspect(recording, 4).problems)  # type: ignore[arg-type]
+    assert output.count("gaps in the poses, the longest 10.5 s") == gaps
+    assert output.count("gaps in the poses") == gaps
 
 
 @each_format
@@ -161,10 +161,10 @@ def test_info_shows_pose_files_and_scans_without_points(
     monkeypatch.setattr("sys.argv", ["segloc", "info", str(path)])
     with pytest.raises(SystemExit):
         main()
-    said = capsys.readouterr().out
-    assert "problem: no points in any of the 3 scans" in said
+    output = capsys.readouterr().out
+    assert "problem: no points in any of the 3 scans" in output
     for name in ("poses.tum", "scans.odometry.tum"):
-        assert f"note: {name} beside the scans may hold their poses: --poses {name}" in said
+        assert f"note: {name} beside the scans may hold their poses: --poses {name}" in output
 
 
 def test_real_sensors_are_told_from_each_other_and_from_nobody_else(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def harmed(content: bytes, flips: list[tuple[float, int]], kept: float | None) -
 
 
 def read_all(path: Path) -> None:
-    """Open and read what is there; what is wrong with it is said in one line."""
+    """Open and read what is there; faults take one line."""
     sequence: Sequence | None = None
     try:
         sequence = open_sequence(path)

@@ -83,7 +83,7 @@ def test_numbers_that_are_no_times_stay_numbers(
 
 @pytest.mark.parametrize("scale", [1.0, 1e3, 1e6, 1e9])
 def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) -> None:
-    """As many as there are scans are theirs in this order; others are of no use, which is said."""
+    """As many as there are scans are theirs in this order; others are ignored with a note."""
     scans = folder(tmp_path / "run", [f"{k:04}" for k in range(COUNT)])
     poses = tmp_path / "odometry.tum"
     stamps = [float(scale * (1_700_000_000 + t)) for t in STEPS]
@@ -163,7 +163,7 @@ def test_the_unit_of_point_times(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "scale", "said"),
+    ("field", "scale", "expected"),
     [
         (("time", "f4"), 1.0, ""),
         (("t", "u4"), 1e9, ""),
@@ -174,7 +174,7 @@ def test_the_unit_of_point_times(name: str) -> None:
     ],
 )
 def test_bags_are_deskewed_whatever_the_unit(
-    field: tuple[str, str], scale: float, said: str, tmp_path: Path
+    field: tuple[str, str], scale: float, expected: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("rosbags")
     from samples.bags import BagWriter
@@ -186,9 +186,9 @@ def test_bags_are_deskewed_whatever_the_unit(
         writer.cloud("/points", stamp, drive.seen(i), times=(*field, times))
         writer.odometry("/odom", stamp, drive.poses[i], "lidar")
     sequence = opened(writer.write(tmp_path / "drive"))
-    assert [said in note for note in sequence.notes] == [True] * bool(said)
+    assert [expected in note for note in sequence.notes] == [True] * bool(expected)
     times = sequence.raw(1).times
-    if said == "float32":
+    if expected == "float32":
         assert times is None
     else:
         assert times is not None

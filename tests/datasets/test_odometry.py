@@ -1,4 +1,4 @@
-"""A simulated drive as a folder and as bags, its odometry, and what `segloc info` says of it."""
+"""A simulated drive as a folder and as bags, its odometry, and the output of `segloc info`."""
 
 from __future__ import annotations
 
@@ -143,8 +143,8 @@ def test_verbs_take_a_bag_without_poses(
     path = simulated.bag("ros1", tmp_path, posed=False)
     prior_map = tmp_path / "site.segmap"
     assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
-    said = capsys.readouterr().err
-    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in said
+    output = capsys.readouterr().err
+    assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in output
     options = ["--method", "geo", "--every", "10", "--threads", "1"]
     assert (
         segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0

@@ -22,7 +22,7 @@ from segloc.types import Float64, Scan
 pytestmark = pytest.mark.data
 
 OTHERS = {"helipr_avia.bin": "HeLiPR's Avia", "helipr_aeva.bin": "HeLiPR's Aeva"}
-"""Files with the suffix of a format that they are not in, and what they are said to be."""
+"""Files with the suffix of another format, and the format that the error names."""
 
 
 def files(folder: str) -> Iterator[Path]:

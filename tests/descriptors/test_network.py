@@ -204,20 +204,23 @@ def test_fc4_travels_with_the_weights_and_changes_no_descriptor(
     model.pair_head = PairHead(kind, 16)
     export.export(model, without, {})
     export.export(model, path, {}, with_pairs=True)
-    plain, judged = PointSetDescriptor("dsm", without), PointSetDescriptor("fq", path, judge="pair")
-    assert plain.fingerprint == judged.fingerprint  # maps stay valid
-    assert plain.pruner is None and judged.pruner is not None
-    assert not judged.rates and judged.encode(prepared(3)).quality is None
+    plain, results = (
+        PointSetDescriptor("dsm", without),
+        PointSetDescriptor("fq", path, judge="pair"),
+    )
+    assert plain.fingerprint == results.fingerprint  # maps stay valid
+    assert plain.pruner is None and results.pruner is not None
+    assert not results.rates and results.encode(prepared(3)).quality is None
     with pytest.raises(WeightsError, match="no FC4 in it, which fq needs"):
         PointSetDescriptor("fq", without, judge="pair")
     a, b = np.random.default_rng(0).normal(size=(2, 30, 16)).astype(np.float32)
     index = np.arange(30)
-    likely = judged.pruner.probability(a, b, index, index[::-1])
+    likely = results.pruner.probability(a, b, index, index[::-1])
     with torch.inference_mode():
         logits = model.pair_logits(torch.from_numpy(a), torch.from_numpy(b[::-1].copy()))
     np.testing.assert_allclose(likely, torch.sigmoid(logits).numpy(), atol=1e-6)
     np.testing.assert_array_equal(  # of all pairs together or of one
-        judged.pruner.probability(a, b, index[:1], index[::-1][:1]), likely[:1]
+        results.pruner.probability(a, b, index[:1], index[::-1][:1]), likely[:1]
     )
 
 

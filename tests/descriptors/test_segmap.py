@@ -150,7 +150,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     refused("fc2.bias", fc2_bias=np.zeros(32, np.float32))
     refused("ten tensors", fc3_bias=np.zeros(32, np.float32))
     del stored["fc1.weight.scale"]
-    refused("there is no 'fc1.weight.scale'")
+    refused("'fc1.weight.scale' is missing")
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(WeightsError, match=str(path)):
         segmap.load_weights(path)

@@ -89,7 +89,7 @@ FEWER = (
 """Likewise in Python."""
 
 FINDS_FAULTS = re.compile(r"segloc doctor")
-"""May end with 1: it says what is wrong."""
+"""May end with 1: it reports faults."""
 
 
 class Item(NamedTuple):
@@ -115,7 +115,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def done() -> set[str]:
-    """Commands that ran: what another page says again is not run again."""
+    """Commands that ran: repetitions on other pages are skipped."""
     return set()
 
 
@@ -184,10 +184,10 @@ def check(each: Code, capsys: pytest.CaptureFixture[str], done: set[str]) -> Non
     if text in done:
         return
     status = run(*arguments(text))
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     allowed = (0, 1) if FINDS_FAULTS.match(text) else (0,)
-    assert status in allowed, f"{each.place}: {text}\n{said.err[-2000:]}"
-    assert "segloc: error" not in said.err, f"{each.place}: {text}\n{said.err[-2000:]}"
+    assert status in allowed, f"{each.place}: {text}\n{output.err[-2000:]}"
+    assert "segloc: error" not in output.err, f"{each.place}: {text}\n{output.err[-2000:]}"
     done.add(text)
 
 

@@ -1,4 +1,4 @@
-"""The notebook runs from its first cell to its last, and finds what it says."""
+"""The notebook runs from its first cell to its last, with the results in its text."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def test_the_notebook_runs() -> None:
     pytest.importorskip("ipykernel")
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbclient.NotebookClient(notebook, timeout=SECONDS, kernel_name="python3").execute()
-    said = [
+    lines = [
         output.get("text", "")
         for cell in notebook.cells
         if cell.cell_type == "code"
         for output in cell.outputs
     ]
-    shown = "".join(said)
+    shown = "".join(lines)
     assert "confidence" in shown and "cm off" in shown and "segments agree" in shown
-    assert "False - " in said[-1]
+    assert "False - " in lines[-1]
     pictures = [
         output
         for cell in notebook.cells

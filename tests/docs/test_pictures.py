@@ -70,10 +70,10 @@ def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
         assert f"localized ({again['correct']})" in drawn.info[demo.SAID]
 
 
-def assert_nearly_same(said: str, kept: str) -> None:
+def assert_nearly_same(output: str, kept: str) -> None:
     """Processors round rays otherwise: a query at the threshold is told otherwise, too."""
-    assert re.sub(r"\d+", "", said) == re.sub(r"\d+", "", kept)
-    counts = [np.array(re.findall(r"\((\d+)\)", text), dtype=int) for text in (said, kept)]
+    assert re.sub(r"\d+", "", output) == re.sub(r"\d+", "", kept)
+    counts = [np.array(re.findall(r"\((\d+)\)", text), dtype=int) for text in (output, kept)]
     assert np.abs(np.subtract(*counts)).max(initial=0) <= 2
 
 

@@ -52,11 +52,11 @@ def test_every_verb_and_key_has_its_place(site: ModuleType) -> None:
     for name in ("segloc map build", "segloc localize", "segloc train extract", "segloc view"):
         assert f"\n## {name}\n" in pages
     assert "| its own |" in pages
-    assert "min_confidence: 0.99  # probability from which a" in site.configuration()
+    assert "min_confidence: 0.99  # least probability of" in site.configuration()
 
 
 def test_every_reason_has_a_row_with_cause_and_remedy(site: ModuleType) -> None:
-    page = site.messages(site.MESSAGES.read_text("utf-8"))
+    page = site.filled((PROJECT / "docs/reference/messages.md").read_text("utf-8"))
     for reason in (*Reason, *StateReason):
         assert reason.likely_cause and reason.remedy, reason
         assert f"| {reason.likely_cause} | {reason.remedy} |" in page

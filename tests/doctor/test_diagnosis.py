@@ -1,4 +1,4 @@
-"""What is wrong with a recording is named, and nothing is said of those that are right."""
+"""Faults of a recording are named; correct recordings have none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POINTS: dict[str, tuple[Points, Fault, str]] = {
     "on its side": (turned("y", 90), Fault.TILT, "tilted by about 90 degrees: set how"),
     "ground": (lambda p: p[p[:, 2] < -1.7], Fault.ONLY_GROUND, "nothing but ground in view"),
 }
-"""Of each wrong way to write points: from right ones, what it is found as, and what is said."""
+"""Faulty points by name: how they are made, their fault, and its message."""
 
 
 def scalar_first(poses: Float64) -> Float64:
@@ -112,10 +112,10 @@ def scans(recording: Recording, count: int = 5) -> list[Scan]:
 
 @pytest.mark.parametrize("name", POINTS)
 def test_points_that_are_written_wrongly_are_named(name: str) -> None:
-    written, fault, said = POINTS[name]
+    written, fault, expected = POINTS[name]
     (finding,) = scan_findings(scans(Walk(written)), posed=True)
     assert finding.fault is fault and finding.wrong
-    check_said(str(finding), said)
+    check_said(str(finding), expected)
 
 
 def check_said(text: str, pattern: str) -> None:
@@ -126,11 +126,11 @@ def check_said(text: str, pattern: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", POSES)
 def test_poses_that_are_written_wrongly_are_named(name: str) -> None:
-    means, fault, said = POSES[name]
+    means, fault, expected = POSES[name]
     walk = Walk()
     (finding,) = pose_findings(Reposed(walk, means(walk.poses)))
     assert finding.fault is fault and finding.wrong
-    check_said(str(finding), said)
+    check_said(str(finding), expected)
 
 
 @pytest.mark.parametrize(("metres", "degrees"), [(0.6, 0.0), (0.0, 8.0)])
@@ -177,9 +177,9 @@ def test_points_for_missing_returns_are_counted_and_are_no_problem(tmp_path: Pat
     recording = open_sequence(raw_folder(tmp_path / "walk", with_missing))
     found = examine(recording, sample=3)  # type: ignore[arg-type]
     assert found.healthy
-    said = {finding.fault: str(finding) for finding in found.findings}
-    assert said[Fault.MISSING_RETURNS].startswith("20% of the points stand for missing returns")
-    assert "not finite or beyond 1e+08 m: they are dropped" in said[Fault.UNUSABLE_POINTS]
+    output = {finding.fault: str(finding) for finding in found.findings}
+    assert output[Fault.MISSING_RETURNS].startswith("20% of the points stand for missing returns")
+    assert "not finite or beyond 1e+08 m: they are dropped" in output[Fault.UNUSABLE_POINTS]
 
 
 def raw_folder(folder: Path, written: Points) -> Path:
@@ -318,15 +318,15 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     site, poses = tmp_path / "site.segmap", ["--poses", "poses.tum"]
     assert run("doctor", good, *poses) == 0
     assert "no problems found" in capsys.readouterr().out
-    for folder, said in [
+    for folder, expected in [
         (bad, "problem: the poses are inverse"),
         (down, "problem: the ground lies"),
     ]:
         assert run("doctor", folder, *poses) == 1
-        assert capsys.readouterr().out.splitlines()[1].startswith(said)
+        assert capsys.readouterr().out.splitlines()[1].startswith(expected)
         assert run("map", "build", folder, *poses, "--out", site) == 1
         error = capsys.readouterr().err
-        assert said.removeprefix("problem: ") in error and "--unchecked" in error
+        assert expected.removeprefix("problem: ") in error and "--unchecked" in error
         assert not site.exists()
     assert run("map", "build", bad, *poses, "--out", site, "--unchecked") == 0
     assert run("map", "build", good, *poses, "--out", site) == 0

@@ -21,6 +21,7 @@ from segloc.export.tracks import Place
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
 from segloc.loops import AlignConfig, Alignment
 from segloc.loops.loops import Loop
+from segloc.loops.summary import RECORD
 from segloc.types import Descriptors, Float64
 
 
@@ -118,7 +119,7 @@ def test_autoware_gets_tiles_that_hold_each_point_once(tmp_path: Path) -> None:
 
 
 def g2o_of(path: Path) -> tuple[dict[int, Float64], list[tuple[int, int, Float64, Float64]]]:
-    """Vertices and edges, read as g2o's documentation says, by hand."""
+    """Vertices and edges, read by g2o's documentation, by hand."""
 
     def pose(words: list[str]) -> Float64:
         x, y, z, *q = map(float, words)
@@ -186,6 +187,7 @@ def test_loops_are_told_between_scans(tmp_path: Path, aligned: tuple[Path, Align
     export(path, "loops", tmp_path / "loops.jsonl")
     (line,) = (tmp_path / "loops.jsonl").read_text().splitlines()
     loop = json.loads(line)
+    assert list(loop) == list(RECORD)
     assert (loop["target_session"], loop["target_scan"]) == (0, 12)
     assert (loop["source_session"], loop["source_scan"]) == (1, 2)
     assert len((path / "loops.jsonl").read_text().splitlines()) == 2
@@ -246,7 +248,7 @@ def test_what_makes_no_sense_is_one_clear_line(
     make_map().save(tmp_path / "site.segmap")
     site, found = tmp_path / "site.segmap", results(tmp_path / "found", True)
     (tmp_path / "empty").mkdir()
-    for source, to, said in (
+    for source, to, expected in (
         (site, "g2o", "needs results of `segloc align`, and this is a map"),
         (site, "loops", "needs results of `segloc align`, and this is a map"),
         (found, "pcd", "needs a map, and this is results of `segloc localize` or `segloc live`"),
@@ -259,7 +261,7 @@ def test_what_makes_no_sense_is_one_clear_line(
         assert run("export", source, "--to", to, "--out", tmp_path / "out") == 1
         error = capsys.readouterr().err
         assert error.startswith("segloc: error: ") and error.count("\n") == 1
-        assert said in error, error
+        assert expected in error, error
         assert not (tmp_path / "out").exists()
     assert run("export", site, "--to", "ply", "--out", tmp_path / "site.ply") == 0
     with pytest.raises(ConfigError, match="exclude each other"):

@@ -193,7 +193,7 @@ def test_a_sensor_mounted_at_any_angle(angles: tuple[float, float, float]) -> No
 
 
 def test_where_roll_and_pitch_come_from() -> None:
-    """Pose, gravity, estimate, in this order; what fails is said."""
+    """Pose, gravity, estimate, in this order; a failure is reported."""
     rng = np.random.default_rng(7)
     R, other = turn(rng, 12), turn(rng, 20)
     points = turned(room(rng), R)

@@ -155,7 +155,7 @@ def test_a_robot_that_stands_holds_few_scans(monkeypatch: pytest.MonkeyPatch) ->
     assert len(rolling) < 20 and rolling.numbers[-1] == 119
     steps = np.linalg.norm(np.diff(rolling.poses[:-1, :3, 3], axis=0), axis=1)
     assert (steps >= 0.2).all()
-    monkeypatch.setattr("segloc.frontend.rolling_cloud.MOST_SCANS", 7)
+    monkeypatch.setattr("segloc.frontend.rolling_cloud.MAX_SCANS", 7)
     rolling = RollingCloud(CONFIG, min_step_m=0.0)
     for k in range(20):
         rolling.add(scan_at(np.eye(4), k, 50))

@@ -1,4 +1,4 @@
-"""Frames of poses that lean: noticed when a map is built of them, and turned."""
+"""Tilted frames of poses: detected when a map is built, and corrected."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.errors import DatasetError
 from segloc.frontend.gravity import angle_deg
 from segloc.frontend.local_cloud import LocalCloudConfig
-from segloc.frontend.tilt import Lean, frame_lean, level_transform, levelled
+from segloc.frontend.tilt import Tilt, frame_tilt, level_transform, levelled
 from segloc.types import Float64, Recording, Reposed
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -31,20 +31,20 @@ def leaning(recording: Recording, T_odom_world: Float64) -> Reposed:
     return Reposed(recording, T_odom_world @ recording.poses)
 
 
-def lean_of(recording: Recording) -> Lean:
-    lean = frame_lean(recording, CONFIG)
-    assert lean is not None
-    return lean
+def tilt_of(recording: Recording) -> Tilt:
+    found = frame_tilt(recording, CONFIG)
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (-3.0, 2.0), (15.0, 20.0)])
 def test_a_leaning_frame_is_noticed(plaza: Plaza, angles: tuple[float, float]) -> None:
     T = tilt(*angles)
-    lean = lean_of(leaning(PlazaSequence(plaza), T))
-    assert angle_deg(lean.up, T[:3, :3] @ Z) < 0.1
-    assert lean.noticed == any(angles)
-    again = lean_of(leaning(PlazaSequence(plaza), T))
-    np.testing.assert_array_equal(again.up, lean.up)
+    found = tilt_of(leaning(PlazaSequence(plaza), T))
+    assert angle_deg(found.up, T[:3, :3] @ Z) < 0.1
+    assert found.is_significant == any(angles)
+    again = tilt_of(leaning(PlazaSequence(plaza), T))
+    np.testing.assert_array_equal(again.up, found.up)
 
 
 @pytest.mark.parametrize("slope_deg", [12.0])
@@ -56,7 +56,7 @@ def test_a_hill_is_no_lean(slope_deg: float) -> None:
     hill.points[:, 2] += rise * hill.points[:, 0]
     way = PlazaSequence(hill)
     way.poses[:, 2, 3] += rise * way.poses[:, 0, 3]
-    assert lean_of(way).tilt_deg < 0.3
+    assert tilt_of(way).tilt_deg < 0.3
 
 
 def test_what_shows_no_walls_says_nothing() -> None:
@@ -70,7 +70,7 @@ def test_what_shows_no_walls_says_nothing() -> None:
         way = PlazaSequence(Plaza(0, objects=1))
         way.poses = np.stack([geometry.yaw_transform(0.0, (2.0 * k, 0, 1.8)) for k in range(15)])
         way.scan = lambda i, p=points: Scan(p)  # type: ignore[method-assign,misc]
-        assert frame_lean(way, CONFIG) is None
+        assert frame_tilt(way, CONFIG) is None
         with pytest.raises(DatasetError, match="too few walls"):
             levelled(way, None)
 
@@ -88,8 +88,8 @@ def test_sweeps_are_gathered_until_they_show_walls(plaza: Plaza) -> None:
     way = Sweeps(plaza, steps=120)
     way.poses = np.stack([geometry.yaw_transform(0.1, (-14 + 0.3 * k, 0, 1.8)) for k in range(120)])
     T = tilt(5.0)
-    lean = lean_of(leaning(way, T))
-    assert lean.noticed and angle_deg(lean.up, T[:3, :3] @ Z) < 0.5
+    found = tilt_of(leaning(way, T))
+    assert found.is_significant and angle_deg(found.up, T[:3, :3] @ Z) < 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -100,13 +100,13 @@ def test_levelling_turns_as_little_as_it_can_about_the_first_pose(seed: int) -> 
     )
     up = rng.normal(size=3)
     up /= np.linalg.norm(up)
-    lean = Lean(up, 0.1)
-    T = level_transform(lean, T_odom_first)
+    found = Tilt(up, 0.1)
+    T = level_transform(found, T_odom_first)
     np.testing.assert_allclose(T[:3, :3] @ up, Z, atol=1e-12)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose((T @ T_odom_first)[:3, 3], T_odom_first[:3, 3], atol=1e-12)
-    assert abs(np.degrees(geometry.rotation_angle(T)) - lean.tilt_deg) < 1e-9
-    np.testing.assert_array_equal(level_transform(Lean(Z, 0.0), np.eye(4)), np.eye(4))
+    assert abs(np.degrees(geometry.rotation_angle(T)) - found.tilt_deg) < 1e-9
+    np.testing.assert_array_equal(level_transform(Tilt(Z, 0.0), np.eye(4)), np.eye(4))
 
 
 @pytest.mark.slow

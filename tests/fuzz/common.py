@@ -73,7 +73,7 @@ class Bench:
 def fuzz(
     target: Callable[[bytes], None], seeds: Iterable[bytes], words: Iterable[str] = ()
 ) -> None:
-    """Run the target on inputs grown from the seeds, for the seconds that the command line says."""
+    """Run the target on inputs grown from the seeds, for the seconds of the command line."""
     corpus = Path(tempfile.mkdtemp(prefix="fuzz-corpus-"))
     for number, seed in enumerate(seeds):
         if len(seed) <= LARGEST:

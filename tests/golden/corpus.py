@@ -228,8 +228,8 @@ def _swathes() -> Cases:
     )
     first, second = (Kept(doors.swathes(drive, 15.0)) for drive in drives)
     inputs = digest([first.scans])
-    asked = [Query(f"swathe {i}", second.scan(i)) for i in range(len(second))]
-    yield from localized(Localizer(build_map(first, config()), config()), asked, inputs)
+    requested = [Query(f"swathe {i}", second.scan(i)) for i in range(len(second))]
+    yield from localized(Localizer(build_map(first, config()), config()), requested, inputs)
 
 
 SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
@@ -280,8 +280,8 @@ def _refusals() -> Cases:
     }
     alone = {s: getattr(config(), s).model_copy(update={"enabled": False}) for s in FALLBACKS}
     for name, each in (("all", config()), ("segments", config(**alone))):
-        asked = [Query(f"{name}, {cloud}", Scan(points)) for cloud, points in clouds.items()]
-        yield from localized(Localizer(prior_map, each), asked, inputs)
+        requested = [Query(f"{name}, {cloud}", Scan(points)) for cloud, points in clouds.items()]
+        yield from localized(Localizer(prior_map, each), requested, inputs)
 
 
 # --- streams ---------------------------------------------------------------------------------
@@ -427,7 +427,7 @@ def _landmarks() -> Cases:
     made = {"inputs": exact(stand.positions)}
     localizer = doors.LandmarkLocalizer(site)
     places = [(20, 42, 0.3), (33, 36, 2.0), (55, 45, -2.8)]
-    asked = [
+    requested = [
         (f"{name} {k}", stems.seen(source, stems.pose(x, y, yaw, tilt), keep=keep, seed=50 + k))
         for k, (x, y, yaw) in enumerate(places)
         for name, source, keep, tilt in (
@@ -438,7 +438,7 @@ def _landmarks() -> Cases:
             ("lattice", stems.plantation(), 1.0, 0.0),
         )
     ]
-    for name, view in asked:
+    for name, view in requested:
         found = localizer.localize(view)
         yield name, made | {"view": exact(view.positions)} | of_answer(found)
     sparse = stems.stand(3, 120)

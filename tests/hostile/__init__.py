@@ -1,1 +1,1 @@
-"""Files that were made to break the readers, and what must be said of them."""
+"""Files that were made to break the readers, and their errors."""

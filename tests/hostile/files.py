@@ -18,7 +18,7 @@ from samples import datasets as recordings
 from samples import io as scans
 from samples.datasets import Drive
 
-MOST_POINTS = 1_000_000
+MAX_POINTS = 1_000_000
 """The limit that they are read under: what exceeds it is smaller and faster to make."""
 LIMIT = "SEGLOC_MAX_POINTS"
 HUGE = 2**62
@@ -36,8 +36,8 @@ class Hostile:
         It is opened as; see ``hostile.opened``.
     make : callable
         Writes it at a path; returns another path where that is to be opened.
-    says : str
-        A pattern in what is said of it.
+    expected : str
+        Pattern of the error.
     may_be_read : bool
         Whether it may turn out to be a scan after all.
     """
@@ -45,7 +45,7 @@ class Hostile:
     name: str
     how: str
     make: Callable[[Path], object]
-    says: str = ""
+    expected: str = ""
     may_be_read: bool = False
 
     def write(self, folder: Path) -> Path:
@@ -61,16 +61,16 @@ class Command:
 
     name: str
     make: Callable[[Path], list[str]]
-    says: str
+    expected: str
 
 
 HOSTILE: list[Hostile] = []
 
 
-def add(how: str, name: str, make: Callable[[Path], object] | bytes, says: str = "",
+def add(how: str, name: str, make: Callable[[Path], object] | bytes, expected: str = "",
         may_be_read: bool = False) -> None:  # fmt: skip
     write = (lambda path: path.write_bytes(make)) if isinstance(make, bytes) else make
-    HOSTILE.append(Hostile(name, how, write, says, may_be_read))
+    HOSTILE.append(Hostile(name, how, write, expected, may_be_read))
 
 
 def sparse(size: int) -> Callable[[Path], None]:
@@ -115,7 +115,7 @@ def archive(name: str, packed: bytes, claimed: int) -> bytes:
 
 def real_bomb(path: Path) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("a.npy", "w") as out:
-        count = 2 * MOST_POINTS
+        count = 2 * MAX_POINTS
         out.write(npy(f"({count}, 3)"))
         out.write(bytes(12 * count))
 
@@ -150,7 +150,7 @@ add("scan", "lie.npy", npy(f"({HUGE}, 3)"), "needs")
 add("scan", "negative.npy", npy("(-1, 3)"), "not an array")
 add("scan", "words.npy", npy("(1 1, 3)"), "bad header")
 add("scan", "objects.npy", npy("(1, 3)", "|O"), "not an array")
-add("scan", "many.npy", npy(f"({2 * MOST_POINTS}, 3)", "|i1", bytes(6 * MOST_POINTS)), LIMIT)
+add("scan", "many.npy", npy(f"({2 * MAX_POINTS}, 3)", "|i1", bytes(6 * MAX_POINTS)), LIMIT)
 add("scan", "float16.npy", npy("(9, 3)", "<f2", bytes(54)), may_be_read=True)
 add("scan", "bomb.npz", archive("points.npy", bomb(200 << 20), 200 << 20), LIMIT)
 add("scan", "real_bomb.npz", real_bomb, LIMIT)
@@ -165,8 +165,8 @@ add("scan", "product.pcd", pcd(f"WIDTH {10**17}", f"HEIGHT {10**17}", f"POINTS {
 add("scan", "wide.pcd", pcd(f"COUNT 1 1 {10**17}"), "need")
 add("scan", "fields.pcd", pcd(f"FIELDS {'a ' * 99_999}", f"SIZE {'4 ' * 99_999}",
     f"TYPE {'F ' * 99_999}", "COUNT -"), "need")  # fmt: skip
-add("scan", "packed.pcd", pcd(f"WIDTH {MOST_POINTS}", f"POINTS {MOST_POINTS}",
-    encoding="binary_compressed", body=struct.pack("<II", 100, 12 * MOST_POINTS) + bytes(100)),
+add("scan", "packed.pcd", pcd(f"WIDTH {MAX_POINTS}", f"POINTS {MAX_POINTS}",
+    encoding="binary_compressed", body=struct.pack("<II", 100, 12 * MAX_POINTS) + bytes(100)),
     "pcd: ")  # fmt: skip
 add("scan", "words.pcd", pcd(encoding="ascii", body=b"one two three\n"), "parse")
 add("scan", "no_end.pcd", b"FIELDS x\n" * 200_000, "no DATA")
@@ -190,12 +190,12 @@ add("scan", "digits.xyz", b"1 2 " + b"9" * 50_000 + b"\n", may_be_read=True)
 add("scan", "long_digits.xyz", b"1 2 " + b"9" * 500_000 + b"\n", "characters")
 add("scan", "zeros.xyz", bytes(5_000_000), "xyz")
 add("scan", "huge.xyz", b"1e999 1e-999 nan\n" * 9, may_be_read=True)
-add("scan", "rows.txt", b"1 2 3\n" * (MOST_POINTS + 9), LIMIT)
+add("scan", "rows.txt", b"1 2 3\n" * (MAX_POINTS + 9), LIMIT)
 add("scan", "blank.txt", b"\n" * 9_000_000, may_be_read=True)
 add("scan", "comments.txt", b"#\n" * 1_000_000, may_be_read=True)
 add("scan", "nan.bin", b"\xff" * 16_000, may_be_read=True)
 add("scan", "far.bin", np.full((400, 4), 3e38, "<f4").tobytes(), "not a KITTI scan")
-add("scan", "many.bin", np.tile(np.float32([1, 50, 9, 0.1]), MOST_POINTS + 1).tobytes(), LIMIT)
+add("scan", "many.bin", np.tile(np.float32([1, 50, 9, 0.1]), MAX_POINTS + 1).tobytes(), LIMIT)
 for suffix in ("bin", "pcd.bin", "pcd", "ply", "csv", "vtk", "las", "laz", "npy", "npz", "xyz"):
     add("scan", f"sparse.{suffix}", sparse(1 << 40), LIMIT)
 add("scan", "pipe.pcd", os.mkfifo, "not a regular file")
@@ -219,7 +219,7 @@ add("trajectory", "infinite.tum", tum(0, float("inf")), "line 2")
 add("trajectory", "jump.tum", tum(0, 1, 450_000.0, 450_001.0), "line 3: a position more than")
 add("trajectory", "zero.tum", b"0 0 0 0 0 0 0 0", "length 0")
 add("trajectory", "sparse.tum", sparse(1 << 40), LIMIT)
-add("trajectory", "many.tum", b"0 0 0 0 0 0 0 1\n" * (MOST_POINTS + 9), LIMIT)
+add("trajectory", "many.tum", b"0 0 0 0 0 0 0 1\n" * (MAX_POINTS + 9), LIMIT)
 add("trajectory", "line.tum", b"1 " * 3_000_000, "columns")
 add("trajectory", "digits.tum", b"0 " * 7 + b"1" * 400_000, "line 1", may_be_read=True)
 add("trajectory", "kitti.txt", b"1 0 0 1e300 0 1 0 0 0 0 1 0\n", "beyond")
@@ -435,7 +435,7 @@ add("sequence", "connections.bag", ros1_index(3, 1), "share an id")
 
 
 def lying_mcap(path: Path) -> None:
-    """A chunk of zstd that holds more than its record says, in a file without an index."""
+    """A chunk of zstd that holds more than its record declares, in a file without an index."""
     bag("mcap", "STORAGE", LARGE)(path)
     file = next(path.glob("*.mcap"))
     data = bytearray(file.read_bytes())
@@ -506,9 +506,9 @@ for name, change in {
     "far": {"ego_pose": mended(translation=[1e12, 0, 0])}, "null": {"sample_data": b"null"},
     "infinite": {"sample_data": b'[{"timestamp": 1e999}]'}, "noise": {"scene": b"\xff\xfe"},
 }.items():  # fmt: skip
-    posed = "ego_pose" in change  # the scans are read, and a note says that poses are not used
-    says = "not used" if posed else f"nuscenes-{name}"
-    add("sequence", f"nuscenes-{name}", tables(**change), says, posed)
+    posed = "ego_pose" in change  # the scans are read, with a note that poses are not used
+    expected = "not used" if posed else f"nuscenes-{name}"
+    add("sequence", f"nuscenes-{name}", tables(**change), expected, posed)
 
 
 def changed(

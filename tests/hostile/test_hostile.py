@@ -28,7 +28,7 @@ TESTS = Path(__file__).resolve().parents[1]
 
 def environment() -> dict[str, str]:
     paths = [str(TESTS), *filter(None, sys.path)]
-    limits = {"SEGLOC_MAX_POINTS": str(files.MOST_POINTS), "OPENBLAS_NUM_THREADS": "1"}
+    limits = {"SEGLOC_MAX_POINTS": str(files.MAX_POINTS), "OPENBLAS_NUM_THREADS": "1"}
     return {**os.environ, **limits, "PYTHONPATH": os.pathsep.join(paths)}
 
 
@@ -63,16 +63,16 @@ def _open_some(
             child.kill()
             child.wait()
     lines = [json.loads(line) for line in report.read_text().splitlines()]
-    said = (folder / "errors").read_text("utf-8", "replace")
+    output = (folder / "errors").read_text("utf-8", "replace")
     for (_, name), (what, text) in zip(lines[::2], lines[1::2], strict=False):
         results[name] = (what, text)
     if len(lines) % 2:
         slow = ended == -signal.SIGXCPU
         fault = "hung" if hung else "too slow" if slow else f"ended the process: {ended}"
-        results[lines[-1][1]] = ("broken", f"{fault} {said[-500:]}")
+        results[lines[-1][1]] = ("broken", f"{fault} {output[-500:]}")
     elif ended:
-        raise AssertionError(said[-2000:])
-    assert "Traceback" not in said, said[-2000:]
+        raise AssertionError(output[-2000:])
+    assert "Traceback" not in output, output[-2000:]
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +92,9 @@ def test_what_is_said_of_hostile_files(
             wrong.append(f"{name}: {text}")
         elif what == "read" and not item.may_be_read:
             wrong.append(f"{name}: read ({text})")
-        elif item.says and not re.search(item.says, text):
-            wrong.append(f"{name}: {what}: {text!r} says nothing of {item.says!r}")
-        elif what == "refused" and not item.says and path.stem not in text:
+        elif item.expected and not re.search(item.expected, text):
+            wrong.append(f"{name}: {what}: {text!r} does not mention {item.expected!r}")
+        elif what == "refused" and not item.expected and path.stem not in text:
             wrong.append(f"{name}: {text!r} does not name the file")
     assert not wrong, "\n".join(wrong)
 
@@ -115,11 +115,11 @@ def test_what_the_command_line_says(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("SEGLOC_MAX_POINTS", str(files.MOST_POINTS))
-    status, said = run(*item.make(tmp_path)), capsys.readouterr().err
-    lines = [line for line in said.splitlines() if "segloc: note" not in line]
-    assert status == bool(item.says), said
-    if not item.says:
+    monkeypatch.setenv("SEGLOC_MAX_POINTS", str(files.MAX_POINTS))
+    status, output = run(*item.make(tmp_path)), capsys.readouterr().err
+    lines = [line for line in output.splitlines() if "segloc: note" not in line]
+    assert status == bool(item.expected), output
+    if not item.expected:
         return
-    assert len(lines) == 1 and lines[0].startswith("segloc: error: "), said
-    assert re.search(item.says, lines[0]), lines[0]
+    assert len(lines) == 1 and lines[0].startswith("segloc: error: "), output
+    assert re.search(item.expected, lines[0]), lines[0]

@@ -108,7 +108,7 @@ def test_one_threshold_says_what_is_believed(found: Posterior, reason: Reason | 
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("{", "damaged"),
         ("{}", "Field required"),
@@ -116,8 +116,8 @@ def test_one_threshold_says_what_is_believed(found: Posterior, reason: Reason | 
         (json.dumps({**MODEL.model_dump(mode="json"), "format": 1}), "format"),
     ],
 )
-def test_a_damaged_model_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_damaged_model_is_refused(tmp_path: Path, text: str, expected: str) -> None:
     path = tmp_path / "posterior.json"
     path.write_text(text)
-    with pytest.raises(WeightsError, match=said):
+    with pytest.raises(WeightsError, match=expected):
         load_model(path)

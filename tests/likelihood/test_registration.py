@@ -122,7 +122,7 @@ def test_is_the_same_at_any_number_of_threads_and_in_any_order() -> None:
 
     def aligned(threads: int, first: int | None = None) -> list[Float64]:
         there, here = Surface(target, REACH, SUPPORT), Surface(source, REACH, SUPPORT)
-        if first is not None:  # what was asked before leaves normals behind
+        if first is not None:  # earlier calls leave normals behind
             there.align(here, small_pose(first), 20, threads)
         return list(there.align(here, T, 20, threads)[:2])
 

@@ -38,18 +38,18 @@ def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, shar
     cloud = rng.uniform(-4, 4, (count, 3)).astype(np.float32)
     query = rng.uniform([-9, -9, -5], [9, 9, 9], (200, 3)).astype(np.float32)
     T = geometry.yaw_transform(rng.uniform(-3, 3), tuple(rng.uniform(-2, 2, 3)))
-    asked = radius * share
+    requested = radius * share
     distance = cKDTree(cloud).query(geometry.transform(T, query))[0]
-    if np.abs(distance - asked).min() < 1e-5:  # decided by rounding
+    if np.abs(distance - requested).min() < 1e-5:  # decided by rounding
         return
     moved = geometry.transform(T, query)
     low, unmapped = within_reach(moved, cloud)
-    near = (distance < asked) & low & ~unmapped
-    judged = (low | unmapped).sum()
+    near = (distance < requested) & low & ~unmapped
+    results = (low | unmapped).sum()
     index = PointIndex(cloud, radius)
     for counts in (0.0, 0.25):
-        overlap, rmse = index.overlap(query, T[None], asked, counts)
-        assert overlap[0] == (near.sum() + counts * unmapped.sum()) / max(judged, 1)
+        overlap, rmse = index.overlap(query, T[None], requested, counts)
+        assert overlap[0] == (near.sum() + counts * unmapped.sum()) / max(results, 1)
     if near.any():
         assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
 
@@ -102,9 +102,9 @@ def reference_visibility(
     cells = np.floor(ground[:, :2] / 3)
     about = (np.abs(np.floor(moved[:, None, :2] / 3) - cells) <= 1).all(axis=2)
     floor = np.where(about, ground[:, 2], -np.inf).max(axis=1, initial=-np.inf)
-    judged = moved[(floor > -np.inf) & (moved[:, 2] > floor + 0.5)]
-    seen = cKDTree(structure).query(judged)[0] <= 0.4
-    at, ranges = pixels(judged)
+    results = moved[(floor > -np.inf) & (moved[:, 2] > floor + 0.5)]
+    seen = cKDTree(structure).query(results)[0] <= 0.4
+    at, ranges = pixels(results)
     behind = nearest[at] > ranges + np.maximum(0.7, 0.05 * ranges)
     return int(seen.sum()), int((~seen & np.isfinite(image[at]) & behind).sum())
 

@@ -38,12 +38,12 @@ def test_a_robot_is_found_and_followed_and_the_same_stream_gives_the_same_states
     streams = []
     for _ in range(2):
         core = LiveCore(localizer, CONFIG)
-        said = drive(core, walked(plaza, 8))
-        assert all(state.status is Status.LOCALIZED and error < 0.3 for state, error in said)
+        messages = drive(core, walked(plaza, 8))
+        assert all(state.status is Status.LOCALIZED and error < 0.3 for state, error in messages)
         assert core.scans == 8 and core.dropped == 0
-        streams.append([state.record() for state, _ in said])
+        streams.append([state.record() for state, _ in messages])
     assert streams[0] == streams[1]
-    last = said[-1][0]
+    last = messages[-1][0]
     assert np.allclose(last.T_map_odom, T_MAP_ODOM, atol=0.3)
     assert last.views > 3 and last.covariance is not None and last.reason == ""
     assert 0.05 <= np.sqrt(last.covariance[3, 3]) < 0.5
@@ -58,11 +58,15 @@ def test_a_kidnapped_robot_is_noticed_and_found_again(localizer: Localizer, plaz
     drive(core, walked(plaza, 8))
     carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
     later = list(walked(plaza, 20, begin=(2.0, 1.0), start_s=108.0, carried=carried, step=1.0))
-    said = drive(core, later)
-    noticed = next(k for k, (state, _) in enumerate(said) if state.status is not Status.LOCALIZED)
-    found = next(k for k, (s, e) in enumerate(said) if k > noticed and s.status is Status.LOCALIZED)
+    messages = drive(core, later)
+    noticed = next(
+        k for k, (state, _) in enumerate(messages) if state.status is not Status.LOCALIZED
+    )
+    found = next(
+        k for k, (s, e) in enumerate(messages) if k > noticed and s.status is Status.LOCALIZED
+    )
     assert noticed <= 6 and found <= 14
-    assert all(error < 0.5 for _, error in said[found:])
+    assert all(error < 0.5 for _, error in messages[found:])
 
 
 @pytest.mark.slow
@@ -72,11 +76,11 @@ def test_beyond_the_map_odometry_carries_on_and_in_the_end_gives_up(
     core = LiveCore(localizer, LiveConfig(tracker=CONFIG.tracker.model_copy(update={"leak": 0.02})))
     site, beyond = copy.copy(plaza), geometry.transform(AWAY, Plaza(7).points)
     site.points = np.vstack([plaza.points, beyond])
-    said = drive(core, walked(site, 40, step=4.0))
-    kinds = [state.status for state, _ in said]
+    messages = drive(core, walked(site, 40, step=4.0))
+    kinds = [state.status for state, _ in messages]
     assert Status.DEGRADED in kinds and kinds[-1] in (Status.LOST, Status.CANDIDATE)
     assert Status.LOCALIZED not in kinds[kinds.index(Status.DEGRADED) :]
-    degraded = [(s, e) for s, e in said if s.status is Status.DEGRADED]
+    degraded = [(s, e) for s, e in messages if s.status is Status.DEGRADED]
     assert all(error < 1.0 and state.reason for state, error in degraded)
 
 
@@ -102,9 +106,9 @@ def test_clocks_that_are_set_back_or_on_cost_a_scan_or_two(
     core = LiveCore(localizer, CONFIG)
     drive(core, walked(plaza, 3, step=1.0))
     for begin, start_s in (((-11.0, 1.3), 20.0), ((-7.0, 1.7), 5000.0)):
-        said = drive(core, walked(plaza, 4, begin=begin, start_s=start_s, step=1.0))
-        assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
-        assert said[-1][0].stamp == start_s + 3
+        messages = drive(core, walked(plaza, 4, begin=begin, start_s=start_s, step=1.0))
+        assert messages[-1][0].status is Status.LOCALIZED and messages[-1][1] < 0.3
+        assert messages[-1][0].stamp == start_s + 3
     assert core.dropped <= 2
     late = core.add_scan(Scan(np.zeros((5, 3))), 5002.5)
     assert late == [] and core.dropped <= 3
@@ -118,17 +122,17 @@ def test_scans_wait_for_their_odometry_and_are_placed_between_its_poses(
     before, taken, behind = events
     assert feed(core, [taken]) == [] and feed(core, [before]) == []
     # There is no odometry before the scan without `before`: it came, and the scan waits.
-    said = feed(core, [behind])
-    assert [s.stamp for s in said] == [100.0, 100.0]
-    assert said[-1].answered == 100.0 and error_m(said[-1], truth) < 0.3
+    messages = feed(core, [behind])
+    assert [s.stamp for s in messages] == [100.0, 100.0]
+    assert messages[-1].answered == 100.0 and error_m(messages[-1], truth) < 0.3
 
 
 def test_scans_without_odometry_are_dropped_and_that_is_said(
     localizer: Localizer, plaza: Plaza
 ) -> None:
     core = LiveCore(localizer, CONFIG)
-    said = drive(core, walked(plaza, 3))
-    T = said[-1][0].T_map_odom
+    messages = drive(core, walked(plaza, 3))
+    T = messages[-1][0].T_map_odom
     scans = [e for events, _ in walked(plaza, 6, start_s=103.0) for e in events if e.scan]
     states = feed(core, scans)
     assert states and all(s.status is Status.DEGRADED for s in states)
@@ -142,8 +146,10 @@ def test_silence_of_the_sensor_is_said_once(localizer: Localizer, plaza: Plaza) 
     *_, (events, _) = walked(plaza, 3)
     drive(core, walked(plaza, 3))
     T = events[-1].T_odom_base
-    said = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
-    assert [s.status for s in said] == [Status.DEGRADED] and "no scan for 2" in said[0].reason
+    messages = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
+    assert [s.status for s in messages] == [Status.DEGRADED] and "no scan for 2" in messages[
+        0
+    ].reason
     assert core.report_silence(3.0).status is Status.DEGRADED
 
 
@@ -172,11 +178,13 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
     ((events, truth),) = walked(plaza, 1)
     for event in events:
         feed_one(core, event)
-    asked = core.due()
-    assert asked is not None
-    assert not core.ask(asked, near=Prior((500.0, 0.0), 10.0)).places
-    view = core.ask(asked, near=Prior(truth[:2, 3], 10.0), callback=lambda *it: heard.append(it))
-    assert core.answer(asked, view).status is Status.LOCALIZED
+    requested = core.due()
+    assert requested is not None
+    assert not core.ask(requested, near=Prior((500.0, 0.0), 10.0)).places
+    view = core.ask(
+        requested, near=Prior(truth[:2, 3], 10.0), callback=lambda *it: heard.append(it)
+    )
+    assert core.answer(requested, view).status is Status.LOCALIZED
     ((query, search, times),) = heard
     assert len(query.scene.segments) and search.posterior.best is not None
     assert times["total"] == pytest.approx(sum(times.values()) / 2) and search.near is not None
@@ -189,8 +197,8 @@ def test_what_was_forgotten_is_asked_for_at_the_next_scan_by_all_that_was_seen(
     drive(core, walked(plaza, 4))
     held = core.tracker.rolling.cloud().num_scans
     assert held > 2 and core.forget().status is Status.LOST and core.state.T_map_odom is None
-    said = drive(core, walked(plaza, 1, start_s=104.0, begin=(-6.0, 1.4)))
-    assert said[-1][0].status is Status.LOCALIZED and said[-1][1] < 0.3
+    messages = drive(core, walked(plaza, 1, start_s=104.0, begin=(-6.0, 1.4)))
+    assert messages[-1][0].status is Status.LOCALIZED and messages[-1][1] < 0.3
     assert core.tracker.rolling.cloud().num_scans == held + 1 and core.jumps == 0
 
 

@@ -25,13 +25,13 @@ def drive(
     T_map_odom: Pose = T_MAP_ODOM, start_s: float = 100.0,
 ) -> list[tuple[State, float]]:  # fmt: skip
     """States after each scan, and how far they are off."""
-    core, said = LiveCore(localizer, keeper=keeper), []
+    core, states = LiveCore(localizer, keeper=keeper), []
     walk = walked(plaza, count, begin=(x, 1.0), T_map_odom=T_map_odom, start_s=start_s, step=0.5)
     for events, truth in walk:
         state = feed(core, events)[-1]
-        said.append((state, error_m(state, truth)))
+        states.append((state, error_m(state, truth)))
     keeper.flush()
-    return said
+    return states
 
 
 @pytest.mark.parametrize("restarted", [False, True])
@@ -62,9 +62,11 @@ def test_a_robot_that_was_moved_is_found_anew(
     keeper = PoseKeeper(tmp_path / "pose.json", check_s=2.0)
     drive(localizer, plaza, keeper, x=-20.0)
     keeper = PoseKeeper(keeper.path, check_s=2.0)
-    said = drive(localizer, plaza, keeper, 6, x=14.0, start_s=300.0)
-    assert not said[0][0].localized  # not near, and not elsewhere before that is sure
-    assert all(error < 0.5 for state, error in said if state.localized) and said[-1][0].localized
+    states = drive(localizer, plaza, keeper, 6, x=14.0, start_s=300.0)
+    assert not states[0][0].localized  # not near, and not elsewhere before that is sure
+    assert (
+        all(error < 0.5 for state, error in states if state.localized) and states[-1][0].localized
+    )
     assert "not confirmed within 2 s" in keeper.notes[0]
 
 
@@ -74,7 +76,7 @@ def test_a_pose_that_cannot_be_used_is_explained(
     file = tmp_path / "pose.json"
     drive(localizer, plaza, PoseKeeper(file))
     good = file.read_text()
-    for text, said in (
+    for text, states in (
         (good.replace('"map_id": "', '"map_id": "0'), "of another map"),
         (good.replace('"version": 1', '"version": 7'), "not a pose file"),
         (good[:50], "not a pose file"),
@@ -83,7 +85,7 @@ def test_a_pose_that_cannot_be_used_is_explained(
         file.write_text(text)
         keeper = PoseKeeper(file, max_age_s=60.0)
         (_, error), *_ = drive(localizer, plaza, keeper, start_s=500.0)
-        assert error < 0.3 and said in keeper.notes[0]
+        assert error < 0.3 and states in keeper.notes[0]
     keeper = PoseKeeper(tmp_path / "no" / "folder.json")
     drive(localizer, plaza, keeper)
     assert any("pose not kept" in note for note in keeper.notes)

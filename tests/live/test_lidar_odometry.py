@@ -46,9 +46,9 @@ def test_a_robot_without_odometry_is_followed_by_its_lidar(plaza: Plaza) -> None
     core = LiveCore(localizer, lidar_odometry=True)
     walk = walked(plaza, 40, begin=(-14.0, 1.0), step=0.5, every_s=0.1)
     for events, truth in walk:
-        said = feed(core, [event for event in events if event.scan is not None])
-        if said[-1].localized:
-            assert error_m(said[-1], truth) < 0.5
-    assert said[-1].localized and core.dropped == 0
-    core.doubt("lifted")
+        states = feed(core, [event for event in events if event.scan is not None])
+        if states[-1].localized:
+            assert error_m(states[-1], truth) < 0.5
+    assert states[-1].localized and core.dropped == 0
+    core.report_lost_motion("lifted")
     assert core.state.reason or not core.state.localized

@@ -39,9 +39,9 @@ def hand_over(live: LiveLocalizer, plaza: Plaza, count: int, settled: bool = Tru
 
 
 def test_it_says_what_the_core_says(localizer: Localizer, plaza: Plaza) -> None:
-    core, said = LiveCore(localizer, CONFIG), []
+    core, messages = LiveCore(localizer, CONFIG), []
     expected = [s for events, _ in walked(plaza, 6) for s in feed(core, events)]
-    with LiveLocalizer(localizer, CONFIG, on_state=said.append) as live:
+    with LiveLocalizer(localizer, CONFIG, on_state=messages.append) as live:
         truth = hand_over(live, plaza, 6)
         assert live.state.status is Status.LOCALIZED and error_m(live.state, truth) < 0.3
         assert (live.scans, live.dropped) == (6, 0)
@@ -49,8 +49,8 @@ def test_it_says_what_the_core_says(localizer: Localizer, plaza: Plaza) -> None:
     def without_latency(states: list[State]) -> list[dict[str, Any]]:
         return [{**s.record(), "latency_ms": None} for s in states]
 
-    assert without_latency(said) == without_latency(expected)
-    assert all(s.latency_ms is not None and 0 < s.latency_ms < 1e4 for s in said if s.answered)
+    assert without_latency(messages) == without_latency(expected)
+    assert all(s.latency_ms is not None and 0 < s.latency_ms < 1e4 for s in messages if s.answered)
 
 
 def blocked(localizer: Localizer, monkeypatch: pytest.MonkeyPatch) -> tuple[Localizer, Any, Any]:
@@ -71,8 +71,8 @@ def test_scans_are_taken_in_while_a_query_is_made_and_the_newest_question_wins(
     localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow, begun, go = blocked(localizer, monkeypatch)
-    said: list[State] = []
-    with LiveLocalizer(slow, CONFIG, on_state=said.append) as live:
+    messages: list[State] = []
+    with LiveLocalizer(slow, CONFIG, on_state=messages.append) as live:
         for k, (events, _) in enumerate(walked(plaza, 7)):
             live.add_odometry(events[0].stamp, events[0].T_odom_base)
             live.add_odometry(events[2].stamp, events[2].T_odom_base)
@@ -84,8 +84,8 @@ def test_scans_are_taken_in_while_a_query_is_made_and_the_newest_question_wins(
         assert live.scans == 7  # all of them, though the first query is not answered yet
         go.set()
         assert live.flush(WAIT_S)
-    assert [s.answered for s in said if s.answered is not None] == [100.0, 106.0]
-    assert said[-1].status is Status.LOCALIZED
+    assert [s.answered for s in messages if s.answered is not None] == [100.0, 106.0]
+    assert messages[-1].status is Status.LOCALIZED
 
 
 def test_where_it_falls_behind_the_newest_scans_win(
@@ -150,13 +150,13 @@ def test_it_ends_at_once_with_work_waiting(localizer: Localizer, plaza: Plaza) -
 
 
 def test_silence_is_noticed_without_anything_coming_in(localizer: Localizer, plaza: Plaza) -> None:
-    said: list[State] = []
+    messages: list[State] = []
     config = CONFIG.model_copy(update={"silent_s": 0.3})
-    with LiveLocalizer(localizer, config, on_state=said.append) as live:
+    with LiveLocalizer(localizer, config, on_state=messages.append) as live:
         hand_over(live, plaza, 2)
         time.sleep(0.8)
-    assert [s.reason == "no data received for 0.3 s" for s in said[-2:]] == [False, True]
-    assert said[-1].status is Status.DEGRADED and said[-1].T_map_odom is not None
+    assert [s.reason == "no data received for 0.3 s" for s in messages[-2:]] == [False, True]
+    assert messages[-1].status is Status.DEGRADED and messages[-1].T_map_odom is not None
 
 
 def test_wrong_input_is_refused_where_it_is_handed_over(localizer: Localizer) -> None:

@@ -142,10 +142,10 @@ def test_a_loop_needs_others_that_agree() -> None:
     right = [(k, 30 + k, np.eye(4)) for k in (3, 4, 5)]
     wrong = [(5, 34, geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))), (25, 40, np.eye(4))]
     loops = [Loop(a, b, T, np.eye(6), "found", 9, 0.9) for a, b, T in right + wrong]
-    judged = supported(chain, loops, AlignConfig())
-    assert [loop.accepted for loop in judged] == [True] * 3 + [False] * 2
-    assert judged[3].reason == "0 neighbouring loops agree and 3 do not"
-    assert judged[4].reason == "0 neighbouring loops agree and 0 do not"
+    results = supported(chain, loops, AlignConfig())
+    assert [loop.accepted for loop in results] == [True] * 3 + [False] * 2
+    assert results[3].reason == "0 neighbouring loops agree and 3 do not"
+    assert results[4].reason == "0 neighbouring loops agree and 0 do not"
     assert not any(loop.accepted for loop in supported(chain, loops[:2], AlignConfig()))
 
 
@@ -172,8 +172,8 @@ def test_the_command_writes_all_of_it(
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code in (0, None)
-    said = capsys.readouterr()
-    assert "session 2 (other) has no loops" in " ".join(said.err.split())
+    output = capsys.readouterr()
+    assert "session 2 (other) has no loops" in " ".join(output.err.split())
     facts = json.loads((out / "alignment.json").read_text())
     assert facts["components"] == [[0, 1], [2]]
     assert facts["residual_after"]["median_m"] < 0.1
@@ -237,8 +237,8 @@ def test_a_broken_session_among_good_ones(
         (void, posed, f"{void}: no scans"),
         (other, posed, f"{cut}: "),
     ):
-        said = _refused([good, session], tmp_path / "out", options, monkeypatch, capsys)
-        assert fault.replace(" ", "") in said.replace(" ", "")
+        output = _refused([good, session], tmp_path / "out", options, monkeypatch, capsys)
+        assert fault.replace(" ", "") in output.replace(" ", "")
 
 
 def test_blocks_hold_each_part_once_and_are_few() -> None:

@@ -20,7 +20,7 @@ from samples.maps import town
 from segloc import SegmentMap, _native
 from segloc.map import coding
 from segloc.map import file as mapfile
-from segloc.map.coding import MOST_GROWTH
+from segloc.map.coding import MAX_GROWTH
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 
@@ -228,7 +228,7 @@ def test_a_bomb_inflates_to_no_more_than_it_may(
 ) -> None:
     """A sound header over zeros that inflate to a thousand times their size."""
     bomb = zlib.compress(bytes(1 << 26), 9)
-    assert len(bomb) < (1 << 26) // MOST_GROWTH
+    assert len(bomb) < (1 << 26) // MAX_GROWTH
     with pytest.raises(coding.CodingError, match="does not inflate to 1000 bytes"):
         coding.inflated(bomb, 1000)
 

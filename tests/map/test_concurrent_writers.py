@@ -80,10 +80,10 @@ def test_of_two_updates_at_once_both_sessions_are_there(place: Path, tmp_path: P
         )
         for name in ("one", "two")
     ]
-    said = [process.communicate(timeout=200)[1] for process in running]
-    assert [process.returncode for process in running] == [0, 0], said
+    output = [process.communicate(timeout=200)[1] for process in running]
+    assert [process.returncode for process in running] == [0, 0], output
     assert len(np.unique(SegmentMap.load(site).session)) == 3
-    assert sum("waiting for another process" in text for text in said) <= 1
+    assert sum("waiting for another process" in text for text in output) <= 1
     assert names(tmp_path) == ["site.segmap"]
 
 

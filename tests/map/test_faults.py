@@ -53,8 +53,8 @@ def names(folder: Path) -> list[str]:
 
 
 def assert_one_line(errors: str, match: str) -> None:
-    said = [line for line in errors.splitlines() if not line.startswith("segloc: note: ")]
-    assert len(said) == 1 and re.match(rf"segloc: {match}", said[0]), errors
+    output = [line for line in errors.splitlines() if not line.startswith("segloc: note: ")]
+    assert len(output) == 1 and re.match(rf"segloc: {match}", output[0]), errors
 
 
 @pytest.fixture(scope="module")
@@ -214,10 +214,10 @@ def interrupted(folder: Path, command: str) -> tuple[int, str]:
         env={**os.environ, "COLUMNS": "500"},  # notes are not wrapped
     )
     assert process.stdout
-    said = next((line for line in process.stdout if line == "writing\n"), "")
+    output = next((line for line in process.stdout if line == "writing\n"), "")
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: its children, too
     errors = process.communicate(timeout=100)[1]
-    assert said, errors
+    assert output, errors
     return process.returncode, errors
 
 

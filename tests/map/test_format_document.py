@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import re
 import struct
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.source import PROJECT
 
 from segloc import Config, SegmentMap, build_map
 from segloc.descriptors.weightfile import shipped_weights
@@ -20,16 +22,19 @@ from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.map.file import FORMAT_VERSION
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "formats.md"
-DOCUMENT = PAGE.read_text("utf-8")
+SITE = importlib.util.spec_from_file_location("site_pages", PROJECT / "docs" / "site.py")
+assert SITE and SITE.loader
+PAGES = importlib.util.module_from_spec(SITE)
+SITE.loader.exec_module(PAGES)
+DOCUMENT = PAGES.filled((PROJECT / "docs" / "reference" / "formats.md").read_text("utf-8"))
 DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1", "U8": "|u1"}
 
 
 def table(name: str) -> list[list[str]]:
-    """The rows between two markers of the document, without the backquotes of their first cell."""
-    text = re.search(rf"<!-- begin {name} -->\n(.*?)<!-- end {name} -->", DOCUMENT, re.DOTALL)
-    assert text, f"docs/reference/formats.md has no table {name!r}"
-    rows = [line.strip("|").split("|") for line in text[1].splitlines()[2:]]
+    """The rows of a generated table of the document, without the backquotes of the first cell."""
+    text = PAGES.table(name)
+    assert text in DOCUMENT, f"docs/reference/formats.md has no table {name!r}"
+    rows = [line.strip("|").split("|") for line in text.splitlines()[2:]]
     return [[row[0].strip().strip("`"), *(cell.strip() for cell in row[1:])] for row in rows]
 
 

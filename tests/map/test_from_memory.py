@@ -70,7 +70,7 @@ Wrong = Callable[[list[Any], Float64], Any]
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda c, _: build_map(c), "none of the 6 has one: set T_odom_sensor"),
         (lambda c, T: build_map(c, poses=T[:4]), "4 for 6 scans"),
@@ -89,15 +89,15 @@ Wrong = Callable[[list[Any], Float64], Any]
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(
-    clouds: list[Any], walk: PlazaSequence, make: Wrong, says: str
+    clouds: list[Any], walk: PlazaSequence, make: Wrong, message: str
 ) -> None:
-    with pytest.raises(SeglocError, match=says) as told:
+    with pytest.raises(SeglocError, match=message) as told:
         make(clouds, walk.poses)
     assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: Config(threadz=1), "threadz: no such key: did you mean threads"),  # type: ignore[call-arg]
         (lambda: Config(threads=-1), "threads: .* greater than or equal to 0, not -1"),
@@ -107,6 +107,6 @@ def test_what_is_wrong_is_told_in_one_line(
         (lambda: Config.model_validate({"pose": 3}), "pose: "),
     ],
 )
-def test_a_wrong_configuration_is_a_config_error(make: Callable[[], Any], says: str) -> None:
-    with pytest.raises(segloc.ConfigError, match=says):
+def test_a_wrong_configuration_is_a_config_error(make: Callable[[], Any], message: str) -> None:
+    with pytest.raises(segloc.ConfigError, match=message):
         make()

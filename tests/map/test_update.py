@@ -140,8 +140,8 @@ def test_removed_objects_go_and_all_others_stay(
     points = prior_map.cloud + prior_map.origin
     there = _distances(points, False) < 0.2
     gone = (_distances(points, True) < 0.2) & ~there & _within_the_wall(points)
-    judged = visibility(prior_map.cloud, prior_map.origin, later)
-    assert judged.gone[gone].mean() > 0.6 and judged.gone[there].mean() < 0.001
+    results = visibility(prior_map.cloud, prior_map.origin, later)
+    assert results.gone[gone].mean() > 0.6 and results.gone[there].mean() < 0.001
 
     once, counts = update_map(prior_map, later, CONFIG)
     assert counts.removed == 0 and counts.aged >= 10 and counts.seen > 200
@@ -156,7 +156,7 @@ def test_removed_objects_go_and_all_others_stay(
     replaced_ones = (removed < 1.0) & (others > 3.0) & _within_the_wall(prior_map.centroids)
     assert replaced_ones.sum() >= 10 and stays[replaced_ones].mean() < 0.2
     distances, _ = cKDTree(twice.cloud + twice.origin).query(points)
-    assert np.median(distances[gone & judged.gone]) > 0.3
+    assert np.median(distances[gone & results.gone]) > 0.3
     assert np.percentile(distances[there], 99) < 0.3
 
     again, counts = update_map(once, PlazaSequence(scene(changed=False), steps=8), CONFIG)

@@ -114,15 +114,15 @@ def test_the_kernel_refuses_what_it_cannot_use() -> None:
         _native.PoseSearch(points, slices, apart, CELL, LEVELS, RANGE_M)
     search = _native.PoseSearch(points, slices, roots, CELL, LEVELS, RANGE_M)
     near, far = np.zeros((2, 2), np.float32), np.full((2, 2), 40, np.float32)
-    clearance, asked = np.array([3, 1], np.uint8), (8, 1, 10, 1, 1.0, 1.0)
+    clearance, requested = np.array([3, 1], np.uint8), (8, 1, 10, 1, 1.0, 1.0)
     with pytest.raises(ValueError, match="columns lie beyond the range"):
-        search.search(far, slices[:2], near, clearance, *asked)
+        search.search(far, slices[:2], near, clearance, *requested)
     with pytest.raises(ValueError, match="free places lie beyond the range"):
-        search.search(near, slices[:2], far, clearance, *asked)
+        search.search(near, slices[:2], far, clearance, *requested)
     with pytest.raises(ValueError, match="clearest free places must come first"):
-        search.search(near, slices[:2], near, clearance[::-1].copy(), *asked)
+        search.search(near, slices[:2], near, clearance[::-1].copy(), *requested)
     with pytest.raises(ValueError, match="one value for each free place"):
-        search.search(near, slices[:2], near, clearance[:1], *asked)
+        search.search(near, slices[:2], near, clearance[:1], *requested)
 
 
 def test_free_cells_are_ground_with_nothing_beside_it() -> None:

@@ -187,10 +187,16 @@ def _occupancy() -> Iterator[tuple[str, Call]]:
     made = {"points": points, "slices": slices, "roots": roots}
     made |= {"cell": 0.5, "levels": 3, "range": 10.0}
     yield "PoseSearch", Call(_native.PoseSearch, made)
-    asked = {"columns": points[:40, :2].copy() / 2, "slices": slices[:40].copy(), "yaws": 12}
-    asked |= {"free": points[40:60, :2].copy() / 2, "clearance": np.full(20, 2, np.uint8)}
-    asked |= {"leaf_level": 1, "width": 50, "count": 4, "separation": 1.0, "separation_deg": 9.0}
-    yield "PoseSearch.search", Call(_native.PoseSearch(**made).search, asked)
+    requested = {"columns": points[:40, :2].copy() / 2, "slices": slices[:40].copy(), "yaws": 12}
+    requested |= {"free": points[40:60, :2].copy() / 2, "clearance": np.full(20, 2, np.uint8)}
+    requested |= {
+        "leaf_level": 1,
+        "width": 50,
+        "count": 4,
+        "separation": 1.0,
+        "separation_deg": 9.0,
+    }
+    yield "PoseSearch.search", Call(_native.PoseSearch(**made).search, requested)
 
 
 def _descriptors() -> Iterator[tuple[str, Call]]:
@@ -542,11 +548,11 @@ def check(call: Call, text: str, argument: str, arguments: Arguments) -> str:
     except TypeError:
         return ""
     except ValueError as error:
-        said = str(error)
-        if "\n" in said or not said:
-            return f"not one line: {said!r}"
-        if ("nan" in text or "inf" in text) and argument.rstrip("s") not in said:
-            return f"{said!r} does not name {argument}"
+        lines = str(error)
+        if "\n" in lines or not lines:
+            return f"not one line: {lines!r}"
+        if ("nan" in text or "inf" in text) and argument.rstrip("s") not in lines:
+            return f"{lines!r} does not name {argument}"
         return ""
     except Exception as error:
         return f"{type(error).__name__}: {error}"

@@ -37,7 +37,7 @@ class Page:
     faults : list of str
         Errors of the console, and exceptions that nothing caught.
     requested : list of str
-        Addresses of all that the page asked for.
+        Addresses of all requests of the page.
     """
 
     def __init__(self, socket: Any) -> None:

@@ -38,7 +38,7 @@ def walked(
 ) -> Iterator[tuple[list[Event], Pose]]:
     """A scan every so often, with odometry before and behind it, and the true pose.
 
-    With ``carried`` the robot is elsewhere than its odometry says: moved by that, in the map.
+    With ``carried`` the robot is kidnapped: moved by that, in the map.
     """
     T_odom_map = geometry.inverse(T_map_odom)
     moved = np.eye(4) if carried is None else carried
@@ -63,16 +63,16 @@ def _at(begin: tuple[float, float], k: float, step: float) -> Pose:
 
 
 def feed(core: LiveCore, events: list[Event]) -> list[State]:
-    """What is said of some events, each query made as soon as it is due."""
-    said: list[State] = []
+    """States after some events, each query made as soon as it is due."""
+    states: list[State] = []
     for event in events:
         if event.scan is not None:
-            said += core.add_scan(event.scan, event.stamp)
+            states += core.add_scan(event.scan, event.stamp)
         elif event.T_odom_base is not None:
-            said += core.add_odometry(event.stamp, event.T_odom_base)
-        if (asked := core.due()) is not None:
-            said.append(core.answer(asked, core.ask(asked)))
-    return said
+            states += core.add_odometry(event.stamp, event.T_odom_base)
+        if (requested := core.due()) is not None:
+            states.append(core.answer(requested, core.ask(requested)))
+    return states
 
 
 def error_m(state: State, truth: Float64) -> float:

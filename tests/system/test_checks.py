@@ -50,7 +50,7 @@ def test_an_array_is_a_scan(localizer: Localizer, points: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scans", "said"),
+    ("scans", "expected"),
     [
         (lambda p: p.T, r"shape \(N, 3\), not \(3, \d+\): transpose"),
         (lambda p: (Scan(p) for _ in range(2)), "not generator: make a list"),
@@ -65,12 +65,12 @@ def test_an_array_is_a_scan(localizer: Localizer, points: np.ndarray) -> None:
     ],
 )
 def test_what_is_no_scan_is_told_what_to_do(
-    localizer: Localizer, points: np.ndarray, scans: Callable[[np.ndarray], Any], said: str
+    localizer: Localizer, points: np.ndarray, scans: Callable[[np.ndarray], Any], expected: str
 ) -> None:
-    with pytest.raises(InvalidScan, match=said) as caught:
+    with pytest.raises(InvalidScan, match=expected) as caught:
         localizer.localize(scans(points))
     assert "\n" not in str(caught.value)
-    with pytest.raises(InvalidScan, match=said):
+    with pytest.raises(InvalidScan, match=expected):
         Tracker(localizer).update(scans(points), np.eye(4))
 
 
@@ -142,7 +142,7 @@ def test_segments_of_ones_own_are_checked() -> None:
     assert good.points.dtype == np.float32 and good.offsets.dtype == np.int64
     nan = centroids.copy()
     nan[1, 2] = np.nan
-    for wrong, said in (
+    for wrong, expected in (
         ((points[:, :2], offsets, centroids, heights), r"points must have shape \(N, 3\)"),
         ((points, np.array([0, 6]), centroids[:1], heights[:1]), "offsets must rise from 0"),
         ((points, np.array([0, 4, 3, 5]), np.zeros((3, 3)), np.zeros(3)), "offsets must rise"),
@@ -152,7 +152,7 @@ def test_segments_of_ones_own_are_checked() -> None:
         ((points, offsets, nan, heights), "centroids: row 1 is not finite"),
         ((points, offsets, centroids, np.array([0, np.inf])), "heights: row 1"),
     ):
-        with pytest.raises(InvalidScan, match=said):
+        with pytest.raises(InvalidScan, match=expected):
             Segments(*wrong)
 
 

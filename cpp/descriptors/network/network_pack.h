@@ -1,4 +1,4 @@
-// Checks the tensors of a network and lays them out as the kernels want them.
+// Checks the tensors of a network and packs them for the kernels.
 #pragma once
 
 #include <set>
@@ -33,7 +33,7 @@ class WeightPacker {
   const float* column_maps(const std::string& name, std::size_t K, std::size_t rows);
   DenseWeights pointwise(const std::string& name, const XConvWeights& layer, std::size_t inputs,
                          std::size_t outputs);
-  // A row of the matrix for each of `inputs`, placed where `place` says.
+  // A row of the matrix for each of `inputs`, at the position given by `place`.
   template <typename Place>
   const float* panels(const float* matrix, std::size_t rows, std::size_t outputs,
                       std::size_t stored_rows, Place place);

@@ -13,9 +13,9 @@
 
 namespace segloc {
 
-// A segment leaves most of its grid empty. Where nothing is near, the layers give what they give
-// for an empty grid, which is computed once; a convolution is run over the differences to that, for
-// the columns of the grid that have any. The result is the same but for rounding.
+// A segment leaves most of its grid empty. In empty parts the layers give the values of an empty
+// grid, which are computed once. A convolution runs over the differences to these, for the columns
+// with any. The result is the same up to rounding.
 class VoxelNetwork {
  public:
   // Tensors, with channels a, b, c and h that are multiples of 32:

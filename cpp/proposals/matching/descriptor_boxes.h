@@ -1,4 +1,4 @@
-// Where blocks of descriptors lie along a few axes, so that a search skips those that are too far.
+// Bounding boxes of blocks of descriptors along a few axes, so that a search skips far blocks.
 #pragma once
 
 #include <cstddef>
@@ -34,7 +34,7 @@ void order_by_place(const float* projections, std::size_t block, std::uint32_t* 
 // The extents of blocks along the axes, kBoxRun blocks a group.
 class DescriptorBoxes {
  public:
-  // Makes room for so many groups, all empty.
+  // Allocates a number of empty groups.
   void resize(std::size_t groups);
   // Takes a row into a block of a group.
   void add(std::size_t group, std::size_t block, const float* projection);

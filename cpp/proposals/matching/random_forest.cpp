@@ -13,7 +13,7 @@ namespace {
 constexpr std::size_t kBlock = 64;  // pairs whose features stay in cache while all trees see them
 constexpr std::size_t kLanes = 8;   // pairs that descend a tree together: each hides others' waits
 
-// Finite: a tree asks whether it is larger than a threshold, and so it is.
+// Finite, and larger than any threshold.
 float quotient(float a, float b) {
   return b > 0 ? std::min(a / b, std::numeric_limits<float>::max()) : 0.0f;
 }

@@ -1,4 +1,4 @@
-// Random forests over pairs of descriptors: which candidate matches are worth keeping.
+// Random forests over pairs of descriptors, which prune candidate matches.
 #pragma once
 
 #include <cstddef>
@@ -18,7 +18,7 @@ struct ForestArrays {
   std::size_t nodes;
 };
 
-// What a forest sees of a pair of descriptors.
+// Features of a pair of descriptors.
 struct PairLayout {
   std::size_t plain;      // the first values are compared one by one,
   bool ratios;            // with their relative differences and the values themselves or without

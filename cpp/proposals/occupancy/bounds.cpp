@@ -10,11 +10,11 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-// One of so many columns, and so many free places, are looked at first. Fewer free places than
-// `kFewestFree` count as so many.
+// Every how many columns is scored first, and how many free cells. Fewer free cells than
+// `kFewestFree` count as that number.
 constexpr std::size_t kOneOf = 4, kSomeFree = 64, kFewestFree = 64;
 
-// That all free places are blocked costs so many times what all columns can reach. Set by hand.
+// Cost of all free cells being blocked, relative to the largest possible score. Set by hand.
 constexpr float kCost = 2.0f;
 
 // The bits of each byte.
@@ -46,7 +46,7 @@ std::vector<T> spread(const T* rows, std::size_t n, std::size_t wide, std::size_
   return ordered;
 }
 
-// Free places that are clear to the edges of a level's windows, so many at most.
+// At most `most` free cells that are clear to the edges of a level's windows.
 std::vector<float> free_of(const PlanarView& view, int level, std::size_t most) {
   const int reach = std::max(2, (1 << level) / 2);
   const auto* end = std::find_if(view.clearance, view.clearance + view.f,

@@ -1,4 +1,4 @@
-// What a query can reach in windows of a map seen from above, and what its free places cost there.
+// Upper bounds of a query's score in windows of an occupancy map, and the cost of its free cells.
 #pragma once
 
 #include <cstddef>
@@ -61,13 +61,13 @@ class Bounds {
  private:
   std::uint32_t one(int level, const Branch& b, std::size_t begin, std::size_t end) const;
   void four(int level, Branch* quarters, std::size_t end) const;
-  // So much of what all columns could reach is lost.
+  // Loss, as a share of the largest possible score.
   float cost(int level, const Branch& b, const Steps& free) const;
 
   const SearchArea& area_;
   int leaf_level_;
   std::vector<std::uint8_t> slices_;
-  std::size_t first_;              // so many columns are spread over all
+  std::size_t first_;              // number of columns scored first, spread over all
   std::size_t most_, most_first_;  // slices of all columns, and of these
   Steps columns_;
   std::vector<Steps> free_;  // some, of each level

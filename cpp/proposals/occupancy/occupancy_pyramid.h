@@ -1,4 +1,4 @@
-// A map from above: which cells are occupied at which heights, and the same for ever wider windows.
+// Occupancy of a map by cell and height slice, and of ever wider windows.
 #pragma once
 
 #include <cstddef>
@@ -7,8 +7,7 @@
 
 namespace segloc {
 
-// Cells are kept in tiles, and only where something stands. One byte a cell: a bit a slice of
-// height.
+// Cells are kept in tiles, only where any is occupied. One byte per cell: one bit per height slice.
 class OccupancyPyramid {
  public:
   // Cells of `cell` metres and one bit of `slices` for each point of (n, 3), row-major.

@@ -12,8 +12,8 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-// Parts are scored with some of what is seen first; so many times `width` of them with all.
-// In the end fewer: an eighth of `width`, or so many times the poses that are wanted.
+// Parts are first scored with some columns; this multiple of `width` of them with all columns.
+// At the last level fewer: an eighth of `width`, or a multiple of the poses wanted.
 constexpr std::size_t kOfParts = 2, kLastOf = 8, kOfPoses = 32;
 
 // Whether a window, from cell (x, y) on, has a place that is near enough.
@@ -126,7 +126,7 @@ PlanarPose centred(const Branch& leaf, const Bounds& bounds, double cell,
           bounds.score(limits.leaf_level, leaf)};
 }
 
-// Adds the best leaves, so many in all, each unlike those that are there.
+// Adds the best leaves up to a total, each distinct from those already there.
 void add_apart(std::vector<Branch>& leaves, const Bounds& bounds, double cell, std::size_t count,
                const SearchLimits& limits, std::vector<PlanarPose>& middles,
                std::vector<PlanarPose>& poses) {

@@ -1,4 +1,4 @@
-// Where a query seen from above fits a map seen from above: branch and bound.
+// Branch-and-bound search for poses of a query in an occupancy map.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,7 @@ namespace segloc {
 
 struct SearchLimits {
   std::size_t yaws = 120;    // headings, evenly over the circle
-  int leaf_level = 1;        // windows of so many doublings are not divided
+  int leaf_level = 1;        // level of windows that are not divided
   std::size_t width = 4000;  // branches that are kept at each level
   std::size_t count = 64;    // poses wanted
   double separation = 2.0;   // metres between those of like heading
@@ -22,13 +22,13 @@ struct SearchLimits {
   double radius = std::numeric_limits<double>::infinity();
 };
 
-// A query seen from above, in metres about the sensor.
+// Occupancy of a query, in metres around the sensor.
 struct PlanarView {
-  const float* columns;        // (m, 2): where something stands,
+  const float* columns;        // (m, 2): occupied cells,
   const std::uint8_t* slices;  // (m,): and in which slices
   std::size_t m;
-  const float* free;              // (f, 2): where the ground is seen, and nothing stands,
-  const std::uint8_t* clearance;  // (f,): nor within so many cells; the clearest first
+  const float* free;              // (f, 2): free cells with ground,
+  const std::uint8_t* clearance;  // (f,): clear cells around each; the clearest first
   std::size_t f;
 };
 

@@ -1,4 +1,4 @@
-// How many segments of a query agree with poses that were not estimated of them.
+// Counts the segments of a query that agree with any given poses.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,7 @@ class Agreement {
  public:
   struct Match {
     double from[3], to[3];  // centroids: in the local frame and in the map
-    std::size_t object;     // which of the query's: some are several segments
+    std::size_t object;     // of the query; an object may have several segments
   };
   struct Tolerance {
     double across, height;  // metres
@@ -26,10 +26,10 @@ class Agreement {
   std::size_t count(const Rigid& T) const;
 
  private:
-  std::vector<Match> matches_;  // by where they are in the map along x
+  std::vector<Match> matches_;  // sorted by map x
   std::size_t objects_;
   Tolerance tolerance_;
-  double reach_ = 0.0;  // a query sees no farther, metres
+  double reach_ = 0.0;  // largest range of a segment, metres
 };
 
 }  // namespace segloc

@@ -1,4 +1,4 @@
-// Geometric consistency: matches whose centroids keep their distances, as a rigid motion does.
+// Geometric consistency: matches whose centroids keep their distances under a rigid motion.
 #pragma once
 
 #include <cstddef>
@@ -9,8 +9,7 @@
 
 namespace segloc {
 
-// Where everything is consistent with everything, some of a pair's partners do: no set holds more
-// than a pair and so many.
+// Largest number of partners of a pair in a set, for matches that are all consistent.
 constexpr std::size_t kMostPartners = 512;
 
 struct ConsistencyOptions {

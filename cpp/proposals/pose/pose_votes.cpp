@@ -88,9 +88,8 @@ Lattice make_lattice(const Voters& v, double width) {
   return lattice;
 }
 
-// How many votes a peak needs to be among those that are returned, as far as is known. Counts only
-// what is surely returned or surpassed. So any thread may read it at any time, and what it keeps
-// out could never have been returned.
+// Lower bound of the votes of a returned peak. It counts only peaks that are returned or surpassed,
+// so any thread may read it at any time: it excludes no peak of the result.
 class VoteThreshold {
  public:
   explicit VoteThreshold(const VoteOptions& o) : o_(o) {}

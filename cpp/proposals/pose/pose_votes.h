@@ -16,11 +16,11 @@ struct PoseCell {
 };
 
 struct VoteOptions {
-  double tolerance = 0.6;         // how far a match may be from where its pose puts it, metres
+  double tolerance = 0.6;         // largest residual of a match, metres
   std::size_t max_votes = 32768;  // the best matches vote
   std::size_t max_cells = 512;    // those with the most votes are returned,
-  double least_share = 0.0;       // and of these only those with so many of the most votes,
-  std::size_t fewest_cells = 0;   // except for the best so many
+  double least_share = 0.0;       // of these, least share of the most votes,
+  std::size_t fewest_cells = 0;   // except for this number of the best
 };
 
 struct PoseVotes {

@@ -101,11 +101,11 @@ def done(piece: Piece) -> bool:
     if piece.number >= 0:
         found |= _mapped(first, piece)
         found["streets_km"] = _streets_km(drives[0])
-    asked = time.process_time()
+    started = time.process_time()
     if piece.queries:
         again = drives[0 if piece.number < 0 else 1]
         found["queries"] = _queried(again, drives[0].truth, piece)
-    found["queries_s"] = time.process_time() - asked
+    found["queries_s"] = time.process_time() - started
     found["wall_s"], found["cpu_s"] = time.time() - began[0], time.process_time() - began[1]
     with replacing(piece.record) as stream:
         stream.write(json.dumps(found).encode())
@@ -201,7 +201,7 @@ def widened(tiles: Path, out: Path, times: int) -> int:
 
 
 def among_copies(thin: SegmentMap, times: int) -> SegmentMap:
-    """A map with so many copies of itself beside it, the first one included."""
+    """Return a map with ``times - 1`` noisy copies of itself beside it."""
     larger, rng = thin.crop((0.0, 0.0), math.inf), np.random.default_rng(times)
     width_m = float(np.ptp(thin.centroids[:, 0])) + APART_M
     spread = SPREAD * thin.vectors.std(axis=0)

@@ -28,9 +28,9 @@ _MIN_POINTS = 1000
 
 
 class Unposed(Derived[Recording]):
-    """Scans of which nothing tells where they were taken: each is a query by itself.
+    """Scans without poses: each is a query by itself.
 
-    How the sensor stands against gravity is still known where the source says so.
+    The attitude of the sensor stays known if the source contains it.
     """
 
     poses = None
@@ -38,7 +38,7 @@ class Unposed(Derived[Recording]):
 
 @dataclass(frozen=True)
 class FewerBeams(Derived[Recording]):
-    """Scans of an HDL-64E of which every so many beams are kept, without poses.
+    """Scans of an HDL-64E with every N-th beam kept, without poses.
 
     A beam is a band of elevation, 26.9 degrees divided by 64.
     """
@@ -115,7 +115,7 @@ def kept(drive: SimulatedSequence, root: Path | None) -> Kept:
 def beside(
     drive: SimulatedSequence, path: Float64, offset_m: float, turned: bool = False
 ) -> SimulatedSequence:
-    """The session seen from so many metres to the left of a path, perhaps turned about."""
+    """The session seen from an offset to the left of a path, optionally turned about."""
     shift = geometry.yaw_transform(np.pi if turned else 0.0, (0.0, offset_m, 0.0))
     moved = np.stack([T @ shift for T in path])
     yaw = np.array([geometry.heading(T) for T in moved])

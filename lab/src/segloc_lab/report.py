@@ -48,7 +48,7 @@ def apart(a: Sequence[bool], b: Sequence[bool]) -> tuple[int, int]:
 
 
 def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
-    """McNemar's exact test: how likely two methods that are equally good differ so much.
+    """McNemar's exact test: the probability of such a difference between equally good methods.
 
     Parameters
     ----------

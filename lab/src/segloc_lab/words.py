@@ -1,6 +1,7 @@
 """Draw prose of the source and the pages at random, and count words of the style before 0.3.0.
 
 python -m segloc_lab.words --seed 2026 --count 40
+python -m segloc_lab.words --against OTHER_TREE --report reports/VERSION-words
 """
 
 from __future__ import annotations
@@ -11,20 +12,47 @@ import json
 import random
 import re
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from .report import parser
+from .report import Table, publish, reporting
 
 PATTERNS = ("said|says", "judged", "asked", "so (?:many|much|near)")
+TREES = {
+    "package and laboratory": ("src/segloc/**/*.py", "experiments/**/*.py", "lab/src/**/*.py"),
+    "kernels": ("cpp/**/*.h", "cpp/**/*.cpp"),
+    "pages": ("docs/**/*.md", "README.md", "CONTRIBUTING.md", "SECURITY.md"),
+    "scripts of the pages": ("docs/**/*.py",),
+    "tests": ("tests/**/*.py", "lab/tests/**/*.py"),
+    "ROS 2": ("ros2/**/*.py", "ros2/**/*.md"),
+}
+"""Files in which words are counted; the laboratory of 0.2.0 is in experiments."""
 Place = tuple[str, str, int, str]
 """Kind, file, line and text."""
 
 _TOOL = re.compile(r"# ?(noqa|type:|pragma)")
 
 
-def _files(*patterns: str) -> list[Path]:
-    return sorted(path for pattern in patterns for path in Path().glob(pattern))
+def _files(*patterns: str, root: Path = Path()) -> list[Path]:
+    return sorted(path for pattern in patterns for path in root.glob(pattern) if path.is_file())
+
+
+def counts(root: Path, files: Iterable[str]) -> list[int]:
+    """Count each of the ``PATTERNS`` in files below a folder; this module does not count."""
+    paths = [path for path in _files(*files, root=root) if path.name != Path(__file__).name]
+    text = "\n".join(path.read_text("utf-8") for path in paths)
+    return [len(re.findall(rf"\b(?:{p})\b", text, re.IGNORECASE)) for p in PATTERNS]
+
+
+def counted(root: Path, other: Path) -> Table:
+    """Return the counts of two trees, folder by folder."""
+    rows = [(name, *map(_beside, counts(other, f), counts(root, f))) for name, f in TREES.items()]
+    columns = (p.replace("(?:", "(").replace("|", " or ") for p in PATTERNS)
+    return Table(("files", *columns), rows, "The count in the other tree, then the count now.")
+
+
+def _beside(before: int, now: int) -> str:
+    return f"{before}, {now}"
 
 
 def _texts(path: Path, tree: ast.Module) -> Iterator[Place]:
@@ -82,16 +110,19 @@ def page_places() -> Iterator[Place]:
 
 
 def main() -> None:
-    options = parser(__doc__)
+    options = reporting(__doc__)
+    options.add_argument("--against", type=Path, metavar="TREE", help="count beside another tree")
     options.add_argument("--seed", type=int, default=2026, help="random seed")
     options.add_argument("--count", type=int, default=40, help="places of code, and of pages")
     args = options.parse_args()
+    if args.against is not None:
+        publish(args.report, "Words of the style before 0.3.0", counted(Path(), args.against))
+        return
     rng = random.Random(args.seed)
     parts = [sorted(set(code_places())), sorted(set(page_places()))]
     drawn = [sorted(rng.sample(part, args.count), key=lambda row: row[1:3]) for part in parts]
-    text = "\n".join(path.read_text("utf-8") for path in _files("src/segloc/**/*.py"))
-    counts = {p: len(re.findall(rf"\b(?:{p})\b", text, re.IGNORECASE)) for p in PATTERNS}
-    print(json.dumps({"counts": counts, "places": drawn}, indent=1))
+    found = dict(zip(PATTERNS, counts(Path(), ["src/segloc/**/*.py"]), strict=True))
+    print(json.dumps({"counts": found, "places": drawn}, indent=1))
 
 
 if __name__ == "__main__":

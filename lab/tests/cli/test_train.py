@@ -1,4 +1,4 @@
-"""``segloc train`` from the shell: datasets, networks, scores, and what it says to wrong input."""
+"""``segloc train`` from the shell: datasets, networks, scores, and errors of wrong input."""
 
 from __future__ import annotations
 

@@ -22,10 +22,12 @@ def test_mirrored_and_shuffled_maps_of_real_scans(kitti: Path, method: str) -> N
     config = Config.preset(method)
     prior_map = build_map(open_sequence(kitti / "keyframes", poses, "1361:1413"), config)
     queries = open_sequence(kitti / "keyframes", poses, "948:999")
-    asked = [range(i - 20, i + 1) for i in (20, 28, 36)] + [range(i, i + 1) for i in (10, 25, 40)]
+    requested = [range(i - 20, i + 1) for i in (20, 28, 36)] + [
+        range(i, i + 1) for i in (10, 25, 40)
+    ]
     right = Localizer(prior_map, config)
     behind_the_mirror, mixed_up = (Localizer(f(prior_map), config) for f in (mirrored, shuffled))
-    for scans in asked:
+    for scans in requested:
         query = [queries.scan(k) for k in scans]
         assert len(query) == 1 or right.localize(query).localized
         assert not behind_the_mirror.localize(query).localized

@@ -73,7 +73,7 @@ def test_a_session_depends_on_world_number_and_conditions_alone(small: World) ->
     sensor = hdl64e(90)
     drive = simulate_sessions(small, sensor, [SUMMER, LATER], length_m=20.0)[1]
     points = drive.scan(4).points
-    small.session(0)  # whatever was asked for in between
+    small.session(0)  # whatever was requested in between
     elsewhere: Any = pickle.loads(pickle.dumps(drive))
     np.testing.assert_array_equal(elsewhere.scan(4).points, points)
     other = replace(drive, conditions=replace(LATER, replaced=0.0), _last=None)

@@ -1,4 +1,4 @@
-"""What training says to settings, states and datasets that cannot be used."""
+"""Errors of training for unusable settings, states and datasets."""
 
 from __future__ import annotations
 

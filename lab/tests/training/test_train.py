@@ -90,7 +90,7 @@ def test_a_run_that_was_cut_off_goes_on_exactly(shapes: SegmentDataset, tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "nearest"), [("linear", False), ("two_layer", True)])
 def test_fc4_finds_what_matters(kind: HeadKind, nearest: bool) -> None:
-    """Of two numbers one says nothing: a fitted head tells pairs apart better than distance."""
+    """One of two numbers is noise: a fitted head separates pairs better than distance."""
     rng = np.random.default_rng(0)
     labels = np.repeat(np.arange(40), 3)
     useful = np.repeat(rng.normal(0, 3, 40), 3) + 0.1 * rng.normal(size=120)

@@ -38,6 +38,55 @@ STAGES = (
 _PATH_STEP_M = 0.5
 
 
+RECORD = {
+    "index": "number of the query's scan in its recording",
+    "stamp": "time of the scan [s], or null",
+    "localized": "true or false",
+    "reason": "null when localized; else a member of `segloc.Reason`, such as `ambiguous`",
+    "message": "the reason as a sentence with its figures; empty when localized",
+    "T_map_sensor": "4 rows of 4 numbers, or null",
+    "attitude": "source of the query's roll and pitch: `given` (a pose or gravity), `estimated` "
+    "(from the scan) or `assumed`",
+    "inliers": "distinct query segments that agree with the best pose",
+    "overlap": "share of the query cloud that lies on the map there, 0 to 1",
+    "seen": "share of the map in view that the query sees, 0 to 1; the rest are free-space "
+    "violations",
+    "proposer": "proposer of the best pose: `segments`, `stems`, `occupancy` or your own; null "
+    "without a pose",
+    "rmse": "residual of the refined alignment [m]",
+    "confidence": "calibrated probability that the pose is correct, 0 to 1",
+    "places": "distinct places, the most probable first: `T_map_sensor`, `probability`, `inliers`, "
+    "`overlap`",
+    "not_in_map": "probability of none of these places",
+    "counts": "items of each stage: scans, points, segments, proposed (matches before pruning), "
+    "matches, candidates",
+    "translation_error_m": "with `--truth`: distance from the true position; null if not localized",
+    "rotation_error_deg": "with `--truth`: angle to the true rotation; null if not localized",
+    "correct": "with `--truth`: within the tolerance",
+    "distance_to_map_m": "with `--truth`: horizontal distance of the true position from the mapped "
+    "trajectory",
+    "ms": "milliseconds of each stage, and `total`",
+}
+"""Keys of a line of ``localizations.jsonl`` and their meaning."""
+SUMMARY = {
+    "queries": "number of queries",
+    "stamps": '"seconds", or "scan numbers" if the recording has no times: the first column of '
+    "`poses.tum`",
+    "attitude": "queries by the source of their roll and pitch",
+    "localized": "localized queries",
+    "not_localized": "the others",
+    "correct": "with `--truth`; else null",
+    "false": "with `--truth`: localized and not correct; else null",
+    "translation_error_m": "`median` and `p95` over the localized queries",
+    "rotation_error_deg": "the same in degrees",
+    "ms": "median milliseconds of each stage",
+    "reasons": "count of each reason",
+    "within_coverage": "with `--truth`: queries within map coverage (3 m of the mapped trajectory)",
+    "within_coverage_correct": "with `--truth`: correct ones within map coverage",
+}
+"""Keys of ``summary.json`` and their meaning."""
+
+
 @dataclass(frozen=True)
 class Tolerance:
     """Maximum error of a correct pose."""

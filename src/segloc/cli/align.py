@@ -161,12 +161,12 @@ def _into_map(
     recordings = read.opened(sequences, chosen)
     alignment = align_to_map(prior_map, recordings, chosen, settings, progress)
     _write_in_map(out, alignment, settings)
-    for name, line in told(alignment):
+    for name, line in map_rows(alignment):
         print(f"{name}: {line}")
     print(f"{out}: session_0.tum ..., poses in the frame of {paths[0].name}; alignment.json")
 
 
-def told(alignment: MapAlignment) -> list[tuple[str, str]]:
+def map_rows(alignment: MapAlignment) -> list[tuple[str, str]]:
     """Describe how well each session is connected to the map."""
     from ..loops.summary import summary_to_map
 

@@ -7,6 +7,24 @@ from typing import Annotated
 
 import typer
 
+EpsgOfLines = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="CODE",
+        help="EPSG code of the map's frame, for GeoJSON.",
+        show_default="unknown",
+    ),
+]
+OriginOfLines = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LAT,LON",
+        help="Origin of the map [degrees], for GeoJSON; x points east.",
+        show_default="unknown",
+    ),
+]
+
 
 def export(
     source: Annotated[
@@ -37,23 +55,8 @@ def export(
         str,
         typer.Option(metavar="LOW,HIGH", help="Heights of obstacles above ground [m], for nav2."),
     ] = "0.4,1.8",
-    epsg: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="CODE",
-            help="EPSG code of the map's frame, for GeoJSON.",
-            show_default="unknown",
-        ),
-    ] = None,
-    at: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON",
-            help="Origin of the map [degrees], for GeoJSON; x points east.",
-            show_default="unknown",
-        ),
-    ] = None,
+    epsg: EpsgOfLines = None,
+    at: OriginOfLines = None,
 ) -> None:
     """Export a map or results to another format.
 

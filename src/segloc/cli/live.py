@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from ..live.replay import Replay
     from ..types import Recording as Scans
 
+    OnState = Callable[[int, State], None]
+
 
 _DEADLINE_MS = 1000.0
 
@@ -57,6 +59,20 @@ _EVERY_S = 1.0
 _VOXEL_M = 0.3
 
 
+QueryEvery = Annotated[
+    float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
+]
+PoseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--pose-file",
+        metavar="FILE",
+        help="File of the last pose: checked first, then kept up to date.",
+        show_default="none",
+    ),
+]
+
+
 def live(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
@@ -67,18 +83,8 @@ def live(
     tolerance_m: Metres = 2.0,
     tolerance_deg: Degrees = 10.0,
     rate: Rate = 0.0,
-    every: Annotated[
-        float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
-    ] = 10.0,
-    pose_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--pose-file",
-            metavar="FILE",
-            help="File of the last pose: checked first, then kept up to date.",
-            show_default="none",
-        ),
-    ] = None,
+    every: QueryEvery = 10.0,
+    pose_file: PoseFile = None,
     topic: Topic = None,
     deskew: Deskew = True,
     odometry: Odometry = False,
@@ -115,15 +121,10 @@ def live(
         note("odometry from the scans (KISS-ICP)")
     recording = levelled_poses(recording, local, level)
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))
-    tell = _teller(recording)
+    keeper = None if pose_file is None else PoseKeeper(pose_file)
     with SoFar(out, recording, clouds=not rate) as so_far, progress("Following") as update:
-
-        def heard(position: int, state: State) -> None:
-            tell(position, state)
-            so_far.add(position, state)
-
-        keeper = None if pose_file is None else PoseKeeper(pose_file)
-        played = play(localizer, recording, _settings(every, rate), rate, heard, update, keeper)
+        on_state = _both(_teller(recording), so_far.add)
+        played = play(localizer, recording, _settings(every, rate), rate, on_state, update, keeper)
     for line in [] if keeper is None else keeper.notes:
         note(line)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
@@ -141,13 +142,23 @@ def _settings(every_m: float, rate: float) -> Any:
     return settings.model_copy(update={"tracker": tracker})
 
 
-def _teller(recording: Scans) -> Callable[[int, State], None]:
+def _both(first: OnState, second: OnState) -> OnState:
+    """Return a callback that calls two callbacks."""
+
+    def call(position: int, state: State) -> None:
+        first(position, state)
+        second(position, state)
+
+    return call
+
+
+def _teller(recording: Scans) -> OnState:
     """Return a callback that prints a line whenever the state changes."""
     from .console import say
 
     last: list[str] = []
 
-    def heard(position: int, state: State) -> None:
+    def on_state(position: int, state: State) -> None:
         if last and last[0] == state.status.value:
             return
         last[:] = [state.status.value]
@@ -157,7 +168,7 @@ def _teller(recording: Scans) -> Callable[[int, State], None]:
         path = f"{state.travelled_m:.1f} m"
         say(f"scan {recording.indices[position]}, {path}: {state.status}{where}{why}")
 
-    return heard
+    return on_state
 
 
 def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[str, bytes]:

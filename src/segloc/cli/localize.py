@@ -66,7 +66,7 @@ Debug = Annotated[
     bool, typer.Option("--debug", help="Also store the stages of each query for `segloc view`.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print everything as JSON.")]
-MOST_ROWS = 20
+MAX_ROWS = 20
 _MOST = 0.5
 
 
@@ -323,10 +323,10 @@ def show_answers(evaluation: Evaluation, title: str) -> None:
         print(sentence(evaluation.results[0]))
         return
     order = worst_first(evaluation)
-    rows = [_row(evaluation, i) for i in order[:MOST_ROWS]]
+    rows = [_row(evaluation, i) for i in order[:MAX_ROWS]]
     table(title, ("query", "confidence", "pose / reason"), rows, texts=(0, 2))
-    if len(order) > MOST_ROWS:
-        print(f"{len(order) - MOST_ROWS} more with higher confidence; --out DIR or --json has all")
+    if len(order) > MAX_ROWS:
+        print(f"{len(order) - MAX_ROWS} more with higher confidence; --out DIR or --json has all")
 
 
 def worst_first(evaluation: Evaluation) -> Sequence[int]:

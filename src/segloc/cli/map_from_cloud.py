@@ -9,6 +9,15 @@ import typer
 
 from .options import ConfigFile, Epsg, MapOut, Method, Threads, Weights, load_config
 
+Trajectory = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Poses that the cloud was measured from, TUM or KITTI.",
+        show_default="viewpoints on free ground",
+    ),
+]
+
 
 def from_cloud(
     cloud: Annotated[
@@ -19,14 +28,7 @@ def from_cloud(
         ),
     ],
     out: MapOut,
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Poses that the cloud was measured from, TUM or KITTI.",
-            show_default="viewpoints on free ground",
-        ),
-    ] = None,
+    trajectory: Trajectory = None,
     sensor_height: Annotated[
         float,
         typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints above ground."),

@@ -60,8 +60,8 @@ def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool) -> Non
     for path in paths:
         with busy("Merging"):
             changed = merge_into_tiles(where, SegmentMap.load(path), elsewhere=elsewhere)
-        told = f"{changed.written} of {len(changed.index.tiles)} tiles changed"
-        rows.append((str(path), told))
+        changes = f"{changed.written} of {len(changed.index.tiles)} tiles changed"
+        rows.append((str(path), changes))
     table(where, ("", ""), rows)
 
 

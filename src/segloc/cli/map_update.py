@@ -132,7 +132,7 @@ class _SessionInput:
         """Return the settings of a map, and the session in its frame."""
         from ..loops import Reposed, align_to_map
         from ..map.segment_map import SegmentMap
-        from .align import told
+        from .align import map_rows
         from .console import note, progress
         from .recording import open_recording
 
@@ -150,7 +150,7 @@ class _SessionInput:
         if not self.align:
             return chosen, recording
         alignment = align_to_map(where, [recording], chosen, stage=progress)
-        for name, line in told(alignment):
+        for name, line in map_rows(alignment):
             note(f"{name}: {line}")
         return chosen, Reposed(recording, alignment.poses[0])
 

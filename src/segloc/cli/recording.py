@@ -120,7 +120,7 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
         If levelling is requested, and the scans show too few walls.
     """
     from ..errors import ConfigError, DatasetError
-    from ..frontend.tilt import frame_lean, levelled
+    from ..frontend.tilt import frame_tilt, levelled
     from .console import busy, note
 
     if recording.poses is None:
@@ -129,16 +129,16 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
         return recording
     if level:
         with busy("Checking whether the frame is level"):
-            lean = frame_lean(recording, config)
-        turned, _ = levelled(recording, lean)
-        if lean is not None:
-            note(f"poses turned by {lean.tilt_deg:.1f} degrees about the first, so that z is up")
+            tilt = frame_tilt(recording, config)
+        turned, _ = levelled(recording, tilt)
+        if tilt is not None:
+            note(f"poses turned by {tilt.tilt_deg:.1f} degrees about the first, so that z is up")
         return turned
     try:
         with busy("Checking whether the frame is level"):
-            lean = frame_lean(recording, config)
+            tilt = frame_tilt(recording, config)
     except DatasetError:
         return recording  # an unreadable scan may not be selected later
-    if lean is not None and lean.noticed:
-        note(f"the poses' z axis is {lean.tilt_deg:.1f} degrees off vertical: --level corrects it")
+    if tilt is not None and tilt.is_significant:
+        note(f"the poses' z axis is {tilt.tilt_deg:.1f} degrees off vertical: --level corrects it")
     return recording

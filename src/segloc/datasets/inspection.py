@@ -11,12 +11,12 @@ import numpy as np
 from .. import geometry
 from ..errors import DatasetError
 from ..motion import times_fit
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..types import Float64, Int64, Scan
 from .signature import Signature, signature
 from .tracks import LONGEST_GAP_S, Track
 
-UNUSABLE = f"not finite or beyond {MOST_METRES:.0e} m"
+UNUSABLE = f"not finite or beyond {MAX_METRES:.0e} m"
 _MAX_SPEED_M_S = 60.0
 _SIZE_RATIO = 3.0  # scans larger or smaller than the median by this are reported
 _MAX_DROPPED = 0.05  # share of unusable points above which a scan is reported
@@ -55,7 +55,7 @@ class Inspection:
     sensor: str  # guessed from the points: "16 beams, -15.0 to 15.0 deg", ...
     sampled: int  # number of scans read
     points: int  # median per scan
-    dropped: float  # share of points not finite or beyond ``MOST_METRES``, in [0, 1]
+    dropped: float  # share of points not finite or beyond ``MAX_METRES``, in [0, 1]
     missing_returns: float  # share of points that stand for firings without a return, in [0, 1]
     rate_hz: float | None  # median; None without stamps
     duration_s: float | None

@@ -17,7 +17,7 @@ from ..io.scans import read_file
 from ..io.trajectory import LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
 from ..motion import interpolated
 from ..system.budget import check_points
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..types import Float64, Int64, Pose
 from .clocks import epoch_unit, unit_beside
 
@@ -44,9 +44,7 @@ class Track:
         far, broken = too_far(self.poses), torn(self.poses)
         if far.any():
             first = int(far.argmax()) + 1
-            raise DatasetError(
-                f"{self.source}: pose {first}: a position beyond {MOST_METRES:.0e} m"
-            )
+            raise DatasetError(f"{self.source}: pose {first}: a position beyond {MAX_METRES:.0e} m")
         if broken.any():
             raise DatasetError(
                 f"{self.source}: pose {int(broken.argmax()) + 1}: a position more than "

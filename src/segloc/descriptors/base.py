@@ -1,4 +1,4 @@
-"""What every descriptor offers, and the registry that finds them by name."""
+"""Interface of descriptors, and their registry."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..types import Descriptors, Float32, Int64, Segments
 
 
 class Pruner(ABC):
-    """Judges candidate matches more closely than the distance of their descriptors does.
+    """Estimates the probability of candidate matches, better than their distance does.
 
     Attributes
     ----------
     fingerprint : str
-        Hash of what decides its answers.
+        Hash of all that determines its results.
     """
 
     fingerprint: str
@@ -32,7 +32,7 @@ class Pruner(ABC):
     def probability(
         self, query: Float32, mapped: Float32, rows: Int64, columns: Int64, threads: int = 0
     ) -> Float32:
-        """How likely pairs are to show the same object, (M,) float32 in [0, 1].
+        """Return the probability that pairs show the same object, (M,) float32 in [0, 1].
 
         Parameters
         ----------
@@ -41,25 +41,25 @@ class Pruner(ABC):
         mapped : (N, dim) float32
             Vectors of the map.
         rows, columns : (M,) int64
-            The pairs, as indices into `query` and `mapped`.
+            Pairs, as indices into `query` and `mapped`.
         """
 
 
 class Descriptor(ABC):
-    """Turns segments into vectors that lie close together for views of the same object.
+    """Describes segments by vectors that are close for views of the same object.
 
     Attributes
     ----------
     name : str
-        The name it is registered under.
+        Registered name.
     dim : int
         Length of a vector; vectors are compared by Euclidean distance.
     fingerprint : str
-        Hash of weights and preprocessing: maps and queries must agree on it.
+        Hash of weights and preprocessing; it must be equal for maps and queries.
     rates : bool
-        Whether it gives each of its vectors a quality.
+        True if each vector has a quality.
     pruner : Pruner or None
-        Orders candidate matches and sorts some out, for a method that has such a stage.
+        Orders and prunes candidate matches, if the method has such a stage.
     """
 
     name: str
@@ -69,10 +69,10 @@ class Descriptor(ABC):
     pruner: Pruner | None = None
 
     def prepare(self, segments: Segments) -> Any:
-        """What :meth:`encode` works on; the segments themselves where nothing is to be prepared.
+        """Prepare segments for :meth:`encode`; by default they are returned unchanged.
 
-        Alignment and reduction to a fixed number of points, for a network: the paper counts them
-        as preprocessing.
+        A network's input is aligned and sampled to a fixed number of points: preprocessing, in the
+        terms of the paper.
         """
         return segments
 
@@ -86,7 +86,7 @@ class Descriptor(ABC):
 
 
 Factory = Callable[..., Descriptor]
-"""Called with the number of threads and, for methods that have them, ``weights=PATH``."""
+"""Takes the number of threads and, for methods with weights, ``weights=PATH``."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class _Entry:
 
 
 PLUGINS = "segloc.descriptors"
-"""The entry point group by which other packages offer descriptors: ``name = "module:factory"``."""
+"""Entry point group of descriptors of other packages: ``name = "module:factory"``."""
 
 _entries: dict[str, _Entry] = {}
 _broken: dict[str, str] = {}
@@ -105,10 +105,10 @@ _broken: dict[str, str] = {}
 def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Factory], Factory]:
     """Register a factory ``(threads) -> Descriptor`` under ``name``.
 
-    One whose descriptor has weights also takes ``weights``, a path or None for its own.
+    A factory with weights also takes ``weights``, a path or None for the shipped ones.
 
-    ``preset`` holds what the method's configuration sets differently from the defaults, by section.
-    A new descriptor is one file in this package: its modules are found by themselves.
+    ``preset`` holds the method's deviations from the default configuration, by section. A new
+    descriptor is one file in this package: its modules are imported automatically.
     """
 
     def decorate(factory: Factory) -> Factory:
@@ -120,14 +120,14 @@ def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Fa
 
 @cache
 def _discover() -> None:
-    """Import the modules of this package, and what other packages name by entry points."""
+    """Import the modules of this package and the entry points of other packages."""
     package = importlib.import_module(__package__ or "segloc.descriptors")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     for plugin in entry_points(group=PLUGINS):
         try:
             factory = plugin.load()
-        except Exception as error:  # whatever another package does must not end ours
+        except Exception as error:  # a broken package must not break segloc
             _broken[plugin.name] = f"{plugin.value}: {error}"
             continue
         if plugin.name not in _entries:
@@ -135,26 +135,26 @@ def _discover() -> None:
 
 
 def available() -> list[str]:
-    """Names of all descriptors, sorted."""
+    """Return the names of all descriptors, sorted."""
     _discover()
     return sorted(_entries)
 
 
 def create(name: str, threads: int = 0, weights: Path | None = None) -> Descriptor:
-    """The descriptor of that name.
+    """Create the descriptor of a name.
 
     Parameters
     ----------
     name : str
     threads : int
-        0: all cores.
+        0 is all cores.
     weights : Path, optional
-        Trained ones, in place of those that are shipped.
+        Trained weights, by default the shipped ones.
 
     Raises
     ------
     ConfigError
-        If there is none, or it has no weights.
+        If there is none, or it takes no weights.
     WeightsError
         If the weights are missing or damaged.
     """
@@ -162,12 +162,12 @@ def create(name: str, threads: int = 0, weights: Path | None = None) -> Descript
     if weights is None:
         return factory(threads)
     if "weights" not in inspect.signature(factory).parameters:
-        raise ConfigError(f"{weights}: {name} has no weights")
+        raise ConfigError(f"{weights}: {name} takes no weights; leave out --weights")
     return factory(threads, weights=weights)
 
 
 def preset(name: str) -> Mapping[str, Any]:
-    """What a method sets differently from the defaults of the configuration.
+    """Return the deviations of a method from the default configuration.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Seven metric numbers a segment: the floor that a learned descriptor has to beat."""
+"""Seven metric numbers per segment: the baseline of learned descriptors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ class GeoDescriptor(Descriptor):
     """Log extents, log spreads and height above ground, standardised.
 
     The extents are measured along the horizontal principal axis, across it, and along z; the
-    spreads are the square roots of the eigenvalues of the covariance. Unlike the eigenvalue
-    features of SegMatch, which are ratios, these keep the size of a segment: it tells more than
-    its shape does.
+    spreads are the square roots of the eigenvalues of the covariance. Unlike the eigenvalue ratios
+    of SegMatch they keep the size of a segment, which is more distinctive than its shape.
     """
 
     name = "geo"
@@ -28,10 +27,10 @@ class GeoDescriptor(Descriptor):
     fingerprint = "geo-1"
 
     def __init__(self, threads: int = 0) -> None:
-        del threads  # a few array operations over all segments at once
+        del threads  # single-threaded
 
     def encode(self, segments: Segments) -> Descriptors:
-        """(P, 7) vectors; see the class."""
+        """Return (P, 7) vectors; see the class."""
         if len(segments) == 0:
             return Descriptors(np.empty((0, self.dim), np.float32))
         starts, counts = segments.offsets[:-1], segments.sizes

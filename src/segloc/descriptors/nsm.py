@@ -20,10 +20,10 @@ class GestaltDescriptor(ForestDescriptor):
     """Heights of a segment's points in 4 rings of 8 sectors around its key pose (66 numbers).
 
     Mean and standard deviation of the height in each bin, planarity and cylindricality. Bosse and
-    Zlot store the variance; its root is in metres like the mean, and compares better by Euclidean
-    distance. The key pose stands at the segment's mean, its z axis up and its x axis along the
-    horizontal direction in which the segment is thinnest. Only the segment's own points are seen:
-    what stands near it changes more between visits than the segment does.
+    Zlot store the variance; its root is in metres like the mean, and suits Euclidean distance. The
+    key pose is at the segment's mean, with a vertical z axis and its x axis along the thinnest
+    horizontal direction. Only the segment's own points count: its surroundings change more between
+    visits.
     """
 
     name = "nsm"
@@ -32,7 +32,7 @@ class GestaltDescriptor(ForestDescriptor):
     layout = Layout(plain=2 * BINS + 2)
 
     def encode(self, segments: Segments) -> Descriptors:
-        """(P, 66) vectors; see the class."""
+        """Return (P, 66) vectors; see the class."""
         vectors = _native.gestalt(segments.points, segments.offsets, RADIUS_M, self._threads)
         vectors[:, BINS : 2 * BINS] = np.sqrt(vectors[:, BINS : 2 * BINS])
         vectors[:, 2 * BINS :] *= SHAPE_WEIGHT

@@ -2,7 +2,7 @@
 
 The network is X-convolutional (Li et al., "PointCNN", NeurIPS 2018). A segment becomes 256 points
 in the order of farthest-point sampling, so each layer's points are a prefix of them.
-FC4, where the weights have it, prunes matches by the probability that two descriptors show one
+FC4, if the weights have it, prunes matches by the probability that two descriptors show one
 object.
 """
 
@@ -30,10 +30,10 @@ POINTS = 256
 """Points of a prepared segment."""
 
 PREPROCESSING_VERSION = 1
-"""Counts changes of `prepare` that change its result."""
+"""Version of `prepare`, increased if its result changes."""
 
 KIND = "network"
-"""Of weights files."""
+"""Kind of weights files."""
 
 DIM = 16
 """Length of a descriptor."""
@@ -68,13 +68,13 @@ ESM_LAYERS = (
 
 
 def prepare(segments: Segments, alignment: Alignment = "pca2d", threads: int = 0) -> Float32:
-    """Centre, align and sample segments: what the network reads.
+    """Centre, align and sample segments for the network.
 
     Parameters
     ----------
     segments : Segments
     alignment : {"none", "pca2d", "pca3d"}
-        "pca2d" turns the major horizontal axis to x; the half with more points lies at low y.
+        "pca2d" aligns the major horizontal axis with x; the half with more points lies at low y.
     threads : int
         0 is all cores.
 
@@ -97,9 +97,9 @@ class Weights:
     alignment : {"none", "pca2d", "pca3d"}
     card : dict
     sha256 : str
-        Of what decides the descriptors: the same with FC4 and without.
+        Hash of all that determines the descriptors, without FC4.
     pair_head : PairHead or None
-        FC4, where the file has it.
+        FC4, if the file has it.
     """
 
     network: _native.Network
@@ -162,22 +162,22 @@ class PointSetDescriptor(Descriptor):
     path : Path
         Weights file.
     judge : {"none", "pair", "nearest"}
-        By what matches are ordered beside their distance. "pair": FC4's probability that two
-        descriptors show one object. "nearest": each descriptor's quality, in [0, 1], the estimate
-        of how likely the nearest map descriptor is to be of the same object.
+        Orders matches beside their distance. "pair": FC4's probability that two descriptors show
+        one object. "nearest": each descriptor's quality, in [0, 1], the probability that its
+        nearest map descriptor is of the same object.
     threads : int
         0 is all cores; results do not depend on it.
 
     Raises
     ------
     WeightsError
-        If the weights are missing or damaged, or have no FC4 where it is to judge.
+        If the weights are missing or damaged, or lack the FC4 of "pair".
     """
 
     def __init__(self, name: str, path: Path, *, judge: Judge = "none", threads: int = 0) -> None:
         weights = load_weights(path)
         if judge == "pair" and weights.pair_head is None:
-            raise WeightsError(f"{path}: no FC4 in it, which {name} needs; train the weights anew")
+            raise WeightsError(f"{path}: no FC4, which {name} needs; train the weights again")
         self.name = name
         self.dim: int = weights.network.dim
         self.card = weights.card
@@ -189,7 +189,7 @@ class PointSetDescriptor(Descriptor):
         self._threads = threads
 
     def prepare(self, segments: Segments) -> Float32:
-        """Aligned and sampled segments, (P, 256, 3) float32; see :func:`prepare`."""
+        """Return aligned and sampled segments, (P, 256, 3) float32; see :func:`prepare`."""
         return prepare(segments, self._alignment, self._threads)
 
     def encode(self, prepared: Float32) -> Descriptors:
@@ -199,16 +199,16 @@ class PointSetDescriptor(Descriptor):
 
 
 class PairHead(Pruner):
-    """The branch that the paper calls feature quality, FC4.
+    """FC4, the branch for feature quality of the paper.
 
-    It reads the absolute difference of two descriptors, and its square where the first layer has
-    twice as many inputs. Between two layers lies a ReLU.
+    Its input is the absolute difference of two descriptors, and its square if the first layer has
+    twice as many inputs. A ReLU lies between two layers.
 
     Parameters
     ----------
     tensors : mapping of str to float32 arrays
-        ``pair.K.weight`` (inputs, outputs) and ``pair.K.bias`` (outputs,) of layers 0 and perhaps
-        1; the last has one output, the logarithm of the odds.
+        ``pair.K.weight`` (inputs, outputs) and ``pair.K.bias`` (outputs,) of one or two layers; the
+        last has one output, the log-odds.
     dim : int
         Length of a descriptor.
 
@@ -249,13 +249,13 @@ class PairHead(Pruner):
         return likely
 
     def logits(self, a: Float32, b: Float32) -> Float64:
-        """The logarithm of the odds that each of (M, dim) pairs shows one object, (M,)."""
+        """Return the log-odds that each of (M, dim) pairs shows one object, (M,)."""
         x = np.abs(a.astype(np.float64) - b)
         if self._squares:
             x = np.concatenate([x, np.square(x)], axis=1)
         for number, (weight, bias) in enumerate(self._layers):
             x = np.maximum(x, 0.0) if number else x
-            # einsum without BLAS: its sums do not depend on the number of threads or rows.
+            # einsum without BLAS: its sums are independent of the number of threads and rows.
             x = np.einsum("mi,io->mo", x, weight.astype(np.float64)) + bias
         logits: Float64 = x[:, 0]
         return logits

@@ -1,8 +1,8 @@
 """Profile: metric shape profiles of a segment, condensed by a small network.
 
-Where the networks of the paper learn from raw coordinates what a shape is, this one is told: a
-native kernel measures how large a segment is and how its points are spread, in metres and above
-the ground, and three dense layers learn which of that lasts from one visit to the next.
+The networks of the paper learn shape from raw coordinates. Here a native kernel measures the size
+of a segment and the distribution of its points, in metres and above ground. Three dense layers
+learn which of these numbers persist between visits.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from .weightfile import faults_of_weights, read_weights, shipped_weights
 
 KIND = "profile network"
 PROFILE_VERSION = 1
-"""Counts changes of the profile that change its numbers."""
+"""Version of the profile, increased if its numbers change."""
 
 PROFILE_SIZE = 175
 
 LIMIT = 6.0
-"""Standardised numbers are cut to this range: a freak number must not decide alone."""
+"""Range to which standardised numbers are clipped, so that no outlier dominates."""
 
 
 class PreparedSegments(NamedTuple):
@@ -36,7 +36,7 @@ class PreparedSegments(NamedTuple):
     ----------
     points : (P, 256, 3) float32
     heights : (P,) float32
-        Of the centroids above the ground, metres.
+        Heights of the centroids above ground [m].
     """
 
     points: Float32
@@ -44,7 +44,7 @@ class PreparedSegments(NamedTuple):
 
 
 def profiles(prepared: PreparedSegments, threads: int = 0) -> Float32:
-    """The numbers that the network reads, (P, 175) float32.
+    """Compute the network's inputs, (P, 175) float32.
 
     In this order: logarithms of the extents and of the standard deviations along x, y, z (6; x is
     the major horizontal axis); nine order statistics each of the height above ground, and of the
@@ -85,8 +85,8 @@ class ProfileDescriptor(Descriptor):
             self._network = _native.Perceptron(weights.tensors, LIMIT)
         if self._network.inputs != PROFILE_SIZE:
             raise WeightsError(
-                f"{path}: reads {self._network.inputs} numbers, not the profile's "
-                f"{PROFILE_SIZE} numbers"
+                f"{path}: has {self._network.inputs} inputs, needs {PROFILE_SIZE}; "
+                "train the weights again"
             )
         self.dim = self._network.outputs - 1
         self.card = weights.card
@@ -94,12 +94,12 @@ class ProfileDescriptor(Descriptor):
         self._threads = threads
 
     def prepare(self, segments: Segments) -> PreparedSegments:
-        """Aligned and sampled segments."""
+        """Align and sample segments."""
         heights = np.ascontiguousarray(segments.heights, dtype=np.float32)
         return PreparedSegments(prepare(segments, "pca2d", self._threads), heights)
 
     def encode(self, prepared: PreparedSegments) -> Descriptors:
-        """(P, dim) vectors, and for each how likely its nearest neighbour is of the same object."""
+        """Return (P, dim) vectors, and the probability that their nearest neighbour is correct."""
         if len(prepared.heights) == 0:
             return Descriptors(np.empty((0, self.dim), np.float32), np.empty(0, np.float32))
         output = self._network.run(profiles(prepared, self._threads), self._threads)
@@ -109,5 +109,5 @@ class ProfileDescriptor(Descriptor):
 
 @register("profile")
 def profile(threads: int = 0, weights: Path | None = None) -> ProfileDescriptor:
-    """The default of segloc."""
+    """Create the default descriptor."""
     return ProfileDescriptor(weights or shipped_weights("profile.safetensors"), threads)

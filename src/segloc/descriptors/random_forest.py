@@ -1,4 +1,4 @@
-"""Random forests that judge pairs of descriptors, stored as plain arrays."""
+"""Random forests over pairs of descriptors, stored as plain arrays."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ _DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "fir
 
 @dataclass(frozen=True)
 class Layout:
-    """How a pair of descriptors becomes features (Dubé et al., "SegMatch", section III-C).
+    """Features of a pair of descriptors (Dubé et al., "SegMatch", section III-C).
 
     Attributes
     ----------
     plain : int
-        The first values of a descriptor are compared one by one: their absolute difference.
+        Number of first values of a descriptor, each compared by its absolute difference.
     ratios : bool
-        Also that difference relative to either value, and both values.
+        True to add that difference relative to either value, and both values.
     histogram : int
-        Bins of each of the histograms that follow, which are compared by their intersection; 0
-        where there are none.
+        Bins of each of the histograms that follow, compared by their intersection; 0 without.
     """
 
     plain: int
@@ -42,11 +41,11 @@ class Layout:
 
     @property
     def row(self) -> tuple[int, bool, int]:
-        """As the native functions take it."""
+        """Arguments of the native functions."""
         return self.plain, self.ratios, self.histogram
 
     def features(self, dim: int) -> int:
-        """Number of features of a pair of descriptors of that length."""
+        """Return the number of features of a pair of descriptors of length ``dim``."""
         histograms = (dim - self.plain) // self.histogram if self.histogram else 0
         return (5 if self.ratios else 1) * self.plain + histograms
 
@@ -58,13 +57,13 @@ class Trees:
     Attributes
     ----------
     roots : (T,) int32
-        The nodes where the trees begin.
+        Root nodes.
     feature : (N,) int32
-        What a node looks at; 0 for a leaf.
+        Feature of a node; 0 for a leaf.
     threshold : (N,) float32
-        Up to here a node hands on to its first child; the answer, for a leaf.
+        Largest value that leads to the first child; for a leaf, its result.
     first_child : (N,) int32
-        The second one is the node behind it; -1 for a leaf.
+        First child; the second is the node after it. -1 for a leaf.
     """
 
     roots: NDArray[np.int32]
@@ -73,12 +72,12 @@ class Trees:
     first_child: NDArray[np.int32]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """By name, as they are stored."""
+        """Return the stored arrays by name."""
         return {name: np.ascontiguousarray(getattr(self, name), t) for name, t in _DTYPES.items()}
 
 
 class PairForest(Pruner):
-    """The mean answer of the trees: how likely a pair of descriptors shows one object.
+    """Probability that a pair of descriptors shows one object: the mean over all trees.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ class PairForest(Pruner):
     Raises
     ------
     ValueError
-        If the arrays are no trees, or look at features that there are not.
+        If the arrays are no trees, or use features that do not exist.
     """
 
     def __init__(
@@ -134,12 +133,12 @@ class ForestDescriptor(Descriptor):
     threads : int
         0 is all cores; results do not depend on it.
     weights : Path, optional
-        A forest in place of the shipped one.
+        Forest, by default the shipped one.
 
     Attributes
     ----------
     layout : Layout
-        What the forest sees of a pair of its descriptors.
+        Features of a pair of descriptors.
 
     Raises
     ------
@@ -155,7 +154,7 @@ class ForestDescriptor(Descriptor):
 
     @property
     def pruner(self) -> Pruner:
-        """The forest, read on access; describing or growing one needs none.
+        """The forest, read on first access; describing or growing needs none.
 
         Raises
         ------
@@ -174,7 +173,7 @@ class ForestDescriptor(Descriptor):
 def save_forest(
     path: Path, trees: Trees, layout: Layout, fingerprint: str, card: Mapping[str, Any]
 ) -> None:
-    """Write a forest for descriptors of that fingerprint.
+    """Write a forest for descriptors of a fingerprint.
 
     ``card`` is the origin of the forest: data, command, figures, licence.
     """
@@ -183,5 +182,5 @@ def save_forest(
 
 
 def shipped_forest(method: str) -> Path:
-    """Path of the forest of a method, where it is installed; see :func:`shipped_weights`."""
+    """Return the path of the forest of a method; see :func:`shipped_weights`."""
     return shipped_weights(f"{method}-forest.safetensors")

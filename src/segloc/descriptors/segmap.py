@@ -1,8 +1,8 @@
 """SegMap: a convolutional network over the occupancy grid of a segment (arXiv 1909.12837).
 
-Weights are a safetensors file with the tensors that cpp/voxel_network.h lists, channels last, and
-batch norms folded into the linear map behind them. The first dense layer, which holds 98 % of the
-parameters, is stored as int8 with a scale for each output: 9 MB instead of 34.
+Weights are a safetensors file with the tensors listed in cpp/voxel_network.h, channels last, with
+batch norms folded into the next linear map. The first dense layer holds 98 % of the parameters and
+is stored as int8 with a scale per output: 9 MB instead of 34.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .weightfile import faults_of_weights, read_weights, shipped_weights, write_
 GRID = (32, 32, 16)
 
 PREPROCESSING_VERSION = 1
-"""Counts changes of `prepare` that change its result."""
+"""Version of `prepare`, increased if its result changes."""
 
 _KIND = "voxel network"
 _QUANTIZED = "fc1.weight"
@@ -43,7 +43,7 @@ class VoxelShapes:
     offsets : (P + 1,) int64
         Segment i is ``voxels[offsets[i]:offsets[i + 1]]``.
     scales : (P, 3) float32
-        Metres that the grid spans.
+        Size of the grid [m].
     """
 
     voxels: NDArray[np.int32]
@@ -54,7 +54,7 @@ class VoxelShapes:
         return len(self.scales)
 
     def dense(self) -> Float32:
-        """The grids in full, (P, 32, 32, 16) float32 of zeros and ones: what training reads."""
+        """Return dense grids, (P, 32, 32, 16) float32 of zeros and ones, for training."""
         grids = np.zeros((len(self), GRID[0] * GRID[1] * GRID[2]), np.float32)
         grids[np.repeat(np.arange(len(self)), np.diff(self.offsets)), self.voxels] = 1.0
         return grids.reshape(len(self), *GRID)
@@ -63,7 +63,7 @@ class VoxelShapes:
 def prepare(segments: Segments, threads: int = 0) -> VoxelShapes:
     """Align segments as for DSM, scale each axis to the grid and centre on the mean.
 
-    An axis along which a segment is shorter than 0.1 m a voxel is not stretched. Independent of the
+    An axis is not stretched beyond 0.1 m per voxel. Independent of the
     order of a segment's points.
     """
     return VoxelShapes(*_native.voxel_shapes(segments.points, segments.offsets, threads))
@@ -76,11 +76,11 @@ def save_weights(path: Path, tensors: Mapping[str, Float32], card: Mapping[str, 
     ----------
     path : Path
     tensors : dict of str to array
-        float32: conv1.weight (3, 3, 3, 1, 32), conv2.weight (3, 3, 3, 32, 64), conv3.weight
+        Float32: conv1.weight (3, 3, 3, 1, 32), conv2.weight (3, 3, 3, 32, 64), conv3.weight
         (3, 3, 3, 64, 64), fc1.weight (16387, 512), fc2.weight (512, 64), and a bias for each. The
         first dense layer reads the features by x, y, z and channel, then the three scales.
     card : dict
-        Where the weights come from: data, command, figures, licence.
+        Origin of the weights: data, command, figures, licence.
     """
     stored: dict[str, NDArray[Any]] = {
         name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()
@@ -91,14 +91,14 @@ def save_weights(path: Path, tensors: Mapping[str, Float32], card: Mapping[str, 
 
 
 def quantized(weight: Float32) -> tuple[NDArray[np.int8], Float32]:
-    """A (inputs, outputs) matrix as int8 and the scale of each output."""
+    """Quantize an (inputs, outputs) matrix to int8, with a scale per output."""
     largest = np.abs(weight).max(axis=0)
     scale = np.where(largest > 0, largest / 127, 1).astype(np.float32)
     return np.rint(weight / scale).astype(np.int8), scale
 
 
 def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]:
-    """The network, the card and the hash of a weights file.
+    """Load the network, the card and the hash of a weights file.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class SegMapDescriptor(Descriptor):
         self._threads = threads
 
     def prepare(self, segments: Segments) -> VoxelShapes:
-        """Occupancy grids; see :func:`prepare`."""
+        """Return occupancy grids; see :func:`prepare`."""
         return prepare(segments, self._threads)
 
     def encode(self, prepared: VoxelShapes) -> Descriptors:
@@ -154,5 +154,5 @@ class SegMapDescriptor(Descriptor):
 
 @register("segmap", preset={"matching": {"growth": 0.0, "escalation": 1}})
 def segmap(threads: int = 0, weights: Path | None = None) -> SegMapDescriptor:
-    """With the shipped weights, or others."""
+    """Create the descriptor with the shipped weights, or others."""
     return SegMapDescriptor(weights or shipped_weights("segmap.safetensors"), threads)

@@ -9,15 +9,15 @@ from ..types import Descriptors, Float32, Float64, Segments
 from .base import Descriptor, register
 from .random_forest import ForestDescriptor, Layout
 
-# Spread of each feature over segments of simulated towns: what it is divided by.
+# Divisor of each feature: its spread over segments of simulated towns.
 EIGEN_SPREAD = np.array([0.230, 0.197, 0.096, 0.0857, 0.096, 0.277, 0.0488], np.float32)
 
-# What the ETH code divides each of its features by: 0.9 of the largest values it had met.
+# Divisors of the ETH code: 0.9 of its largest observed values.
 ETH_MAXIMA = 0.9 * np.array([28890.9, 95919.2, 124811, 0.278636, 124810, 0.956129, 0.99702])
 ETH_POINTING_UP = 0.2
 
 ESF_WEIGHT = 30.0
-"""Shape functions sum to one: their largest values then weigh as much as an eigenvalue feature."""
+"""Weight of shape functions, which sum to one, so that they match eigenvalue features."""
 
 ESF_BINS = 64
 _MIN_RATIO = 1e-6
@@ -26,9 +26,9 @@ _NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}}
 
 
 def eigen_features(segments: Segments, threads: int = 0) -> Float64:
-    """Seven functions of the eigenvalues e1 >= e2 >= e3 of a segment's covariance (section III-B).
+    """Compute seven functions of the eigenvalues e1 >= e2 >= e3 of the covariance (section III-B).
 
-    The eigenvalues are divided by their sum first. A segment that is one point gives zeros.
+    The eigenvalues are normalised by their sum. A segment of one point gives zeros.
 
     Returns
     -------
@@ -55,12 +55,11 @@ def eigen_features(segments: Segments, threads: int = 0) -> Float64:
 
 
 def eth_features(segments: Segments, threads: int = 0) -> Float64:
-    """Return the features of the ETH code: eigenvalues rising, divided by fixed maxima.
+    """Compute the features of the ETH code: ascending eigenvalues, divided by fixed maxima.
 
-    Its entropy has no minus, and only the last term of it is divided. The eighth number is
-    whether the segment is lower than it is wide along both axes of the frame, so it may change as
-    the segment turns. The smallest eigenvalue, which the others are divided by, counts as at least
-    a millionth of their sum.
+    The entropy has no minus sign, and only its last term is divided. The eighth number is 1 for a
+    segment lower than its width along both axes of the frame, so it depends on rotation. The
+    smallest eigenvalue, the divisor of the others, is at least a millionth of their sum.
 
     Returns
     -------
@@ -85,7 +84,7 @@ def eth_features(segments: Segments, threads: int = 0) -> Float64:
 
 
 def _shares(segments: Segments, threads: int) -> Float64:
-    """Eigenvalues divided by their sum, falling, (P, 3)."""
+    """Return normalised eigenvalues, descending, (P, 3)."""
     _, values = _native.segment_moments(segments.points, segments.offsets, threads)
     total = values.sum(axis=1, keepdims=True)
     shares = np.zeros_like(values)
@@ -123,7 +122,7 @@ class EigenDescriptor(ForestDescriptor):
     layout = Layout(plain=7, ratios=True)
 
     def encode(self, segments: Segments) -> Descriptors:
-        """(P, 7) vectors; see the class."""
+        """Return (P, 7) vectors; see the class."""
         vectors: Float32 = eigen_features(segments, self._threads).astype(np.float32)
         return Descriptors(vectors / EIGEN_SPREAD)
 
@@ -140,7 +139,7 @@ class EthEigenDescriptor(Descriptor):
         self._threads = threads
 
     def encode(self, segments: Segments) -> Descriptors:
-        """(P, 8) vectors; see the class."""
+        """Return (P, 8) vectors; see the class."""
         return Descriptors(eth_features(segments, self._threads).astype(np.float32))
 
 
@@ -148,9 +147,9 @@ class EthEigenDescriptor(Descriptor):
 class EsfDescriptor(ForestDescriptor):
     """Eigenvalue features and the ensemble of shape functions (Wohlkinger and Vincze, 2011).
 
-    The 640 bins, which sum to one, are multiplied by ``ESF_WEIGHT``. The random forest also sees
-    how far the ten histograms of a pair intersect. The random triangles are drawn from a fixed seed
-    over sorted points, so the result is repeatable and the order of points does not matter.
+    The 640 bins, which sum to one, are multiplied by ``ESF_WEIGHT``. The random forest also uses
+    the intersections of the ten histograms of a pair. Random triangles are drawn from sorted points
+    with a fixed seed, so the result is repeatable and independent of the order of points.
     """
 
     name = "segmatch-esf"
@@ -160,7 +159,7 @@ class EsfDescriptor(ForestDescriptor):
     triples = 20_000
 
     def encode(self, segments: Segments) -> Descriptors:
-        """(P, 647) vectors; see the class."""
+        """Return (P, 647) vectors; see the class."""
         eigen = eigen_features(segments, self._threads).astype(np.float32) / EIGEN_SPREAD
         shape = _native.esf(
             segments.points, segments.offsets, self.triples, seed=0, threads=self._threads

@@ -23,25 +23,35 @@ from ..system.tensor_file import TensorFile, TensorFileError
 
 _VERSION = "2"
 _LABORATORY = "segloc_lab"
-"""Brings the weights of methods that are there to be compared with."""
+"""Distribution with the weights of the methods for comparison."""
 _OF_CONTENT = (TypeError, ValueError, OverflowError, AttributeError, RecursionError, LookupError)
-"""By what NumPy and the networks refuse contents; TypeError: a dtype that NumPy has not."""
+"""Errors of NumPy and the networks for invalid contents; TypeError: an unknown dtype."""
+
+
+FIELDS = {
+    "format": "`segloc` and the kind",
+    "version": f"`{_VERSION}`",
+    "settings": "JSON object of text to text: all that determines the result beside the tensors",
+    "card": "JSON object: data, command, figures, licence",
+    "sha256": "hash of settings and tensors, as hexadecimal digits",
+}
+"""Text fields of ``__metadata__`` and their meaning."""
 
 
 @dataclass(frozen=True)
 class WeightFile:
-    """What a weights file holds.
+    """Contents of a weights file.
 
     Attributes
     ----------
     tensors : mapping of str to arrays
-        float32, but for those whose dtype the reader names.
+        Float32, except those with a dtype given to the reader.
     settings : mapping of str to str
-        Whatever decides, beside the tensors, what the network computes.
+        Parameters of the network beside the tensors.
     card : dict
-        Where the weights come from: data, command, figures, licence.
+        Origin of the weights: data, command, figures, licence.
     sha256 : str
-        Of tensors and settings.
+        Hash of tensors and settings.
     """
 
     tensors: dict[str, NDArray[Any]]
@@ -82,7 +92,7 @@ def read_weights(
 ) -> WeightFile:
     """Read and check a weights file.
 
-    ``dtypes`` names the tensors that are not float32.
+    ``dtypes`` maps tensors that are not float32 to their dtype.
 
     Raises
     ------
@@ -113,12 +123,12 @@ def read_weights(
 
 
 def shipped_weights(file: str) -> Path:
-    """Path of a weights file that comes with segloc, or with segloc-lab.
+    """Return the path of a weights file of segloc or segloc-lab.
 
     Raises
     ------
     WeightsError
-        If neither has it.
+        If neither contains it.
     """
     folders = [Path(__file__).resolve().parent.parent]
     if spec := find_spec(_LABORATORY):
@@ -137,16 +147,16 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[TensorFile]:
-    """A safetensors file, open for reading; it is read, not mapped, since it may shrink meanwhile.
+    """Open a safetensors file for reading, without mapping it, since it may shrink meanwhile.
 
     Raises
     ------
     WeightsError
-        If it is missing or damaged, here or where a tensor is read from it.
+        If it is missing or damaged, now or on reading a tensor.
     """
     if path.is_dir():
         raise WeightsError(f"{path}: is a directory")
-    if path.exists() and not path.is_file():  # a pipe might never end
+    if path.exists() and not path.is_file():  # a pipe may never end
         raise WeightsError(f"{path}: not a regular file")
     try:
         check_bytes(path.stat().st_size, "a file")
@@ -162,17 +172,17 @@ def opened(path: Path) -> Iterator[TensorFile]:
 
 @contextmanager
 def faults_of_weights(path: Path) -> Iterator[None]:
-    """What settings and tensors that make no network are refused by.
+    """Convert errors of invalid settings and tensors.
 
     Raises
     ------
     WeightsError
-        Naming the file.
+        Names the file.
     """
     try:
         yield
     except KeyError as error:
-        raise WeightsError(f"{path}: there is no {error}") from error
+        raise WeightsError(f"{path}: {error} is missing") from error
     except MemoryError as error:
         raise WeightsError(f"{path}: not enough memory for such a network") from error
     except _OF_CONTENT as error:
@@ -180,7 +190,7 @@ def faults_of_weights(path: Path) -> Iterator[None]:
 
 
 def digest_of(tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, str]) -> str:
-    """SHA-256 of tensors and settings, whatever their order."""
+    """Return the SHA-256 of tensors and settings, independent of their order."""
     digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name]

@@ -336,5 +336,5 @@ def _standing(points: Float32) -> Float32:
     near = points[np.einsum("ij,ij->i", points, points) < _RANGE_M**2]
     thinned = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M)
     config = SegmentationConfig()
-    standing = heights_above_ground(thinned, config) > config.structure_height
-    return thinned[standing]
+    above = heights_above_ground(thinned, config) > config.structure_height
+    return thinned[above]

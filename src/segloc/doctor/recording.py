@@ -14,7 +14,7 @@ from ..datasets.inspection import UNUSABLE, Inspectable, Inspection, inspect
 from ..errors import DatasetError
 from ..frontend.gravity import angle_deg
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
-from ..frontend.tilt import NOTICED_DEG, frame_lean
+from ..frontend.tilt import MIN_TILT_DEG, frame_tilt
 from ..types import Recording, Scan
 from .finding import Fault, Finding
 from .pose_faults import pose_findings
@@ -39,16 +39,16 @@ def attitude_of(recording: Recording, config: LocalCloudConfig, sample: int) -> 
     if recording.poses is None:
         return _of_scans(recording, config, sample)
     try:
-        lean = frame_lean(recording, config)
+        tilt = frame_tilt(recording, config)
     except DatasetError:
         return Attitude("of the poses")  # a scan that cannot be read is a problem already
-    if lean is None:
+    if tilt is None:
         return Attitude("of the poses (too few walls to check them)")
-    text = f"of the poses, whose z axis is {lean.tilt_deg:.1f} deg off vertical"
-    if not lean.noticed:
+    text = f"of the poses, whose z axis is {tilt.tilt_deg:.1f} deg off vertical"
+    if not tilt.is_significant:
         return Attitude(text)
-    what = f"the frame of the poses is tilted by {lean.tilt_deg:.1f} degrees, as walls show"
-    wrong = lean.tilt_deg > _TILTED_DEG
+    what = f"the frame of the poses is tilted by {tilt.tilt_deg:.1f} degrees, as walls show"
+    wrong = tilt.tilt_deg > _TILTED_DEG
     finding = Finding(Fault.POSES_TILTED, what, "`segloc map build --level` turns it", wrong)
     return Attitude(text, (finding,))
 
@@ -67,7 +67,7 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> At
     middle, most = float(np.median(tilts)), max(tilts)
     text = f"{counts}; tilt {middle:.1f} deg, at most {most:.1f}"
     findings = []
-    if most > 2 * NOTICED_DEG:
+    if most > 2 * MIN_TILT_DEG:
         findings.append(_tilted(np.array([up for up, _ in off]), middle, most))
     if sources["assumed"]:
         what = (

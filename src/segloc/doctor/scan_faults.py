@@ -77,7 +77,7 @@ _USUAL_RANGE_MM = 2500.0
 _STEEP_DEG = 35.0
 _MOUNT = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
 _FEW_BEAMS = 16
-_MIN_SEGMENTS, _STANDING = 2, 0.02
+_MIN_SEGMENTS, _MIN_ABOVE = 2, 0.02
 
 
 def scan_findings(
@@ -227,15 +227,15 @@ def _nothing_stands(scans: Sequence[Scan], config: LocalCloudConfig) -> Finding 
     accumulator, segmenter = Accumulator(config), Segmenter()
     scenes = [segmenter.segment(accumulator.gather(scan)) for scan in scans[:: 1 + len(scans) // 6]]
     count = median(len(scene.segments) for scene in scenes)
-    standing = median(_standing(scene) for scene in scenes)
-    if count >= _MIN_SEGMENTS or standing > _STANDING:
+    above = median(_share_above(scene) for scene in scenes)
+    if count >= _MIN_SEGMENTS or above > _MIN_ABOVE:
         return None
     return Finding(
         Fault.ONLY_GROUND,
-        f"nothing but ground in view: {standing:.1%} of the points are above it",
+        f"nothing but ground in view: {above:.1%} of the points are above it",
         "record where there are walls, trunks, poles or cars: localization needs them",
     )
 
 
-def _standing(scene: Segmentation) -> float:
+def _share_above(scene: Segmentation) -> float:
     return len(scene.structure) / max(1, len(scene.structure) + len(scene.ground))

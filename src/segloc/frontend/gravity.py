@@ -1,4 +1,4 @@
-"""Which way is up in a scan: from the floors, ceilings and walls that it shows."""
+"""The direction of gravity in a scan, estimated from floors, ceilings and walls."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _Z = np.array([0.0, 0.0, 1.0])
 _STEP_DEG = 4.0
 _TOLERANCES_RAD = tuple(math.radians(deg) for deg in (10.0, 7.0, 5.0, 4.0, 3.0, 3.0, 3.0))
 _CORRELATED = 13.0
-"""Neighbouring normals that err together: those of one plane."""
+"""Neighbouring normals with a common error, as those of one plane have."""
 _MIN_NEIGHBOURS = 10
 _MAX_THICKNESS_M = 0.05
 _MAX_NORMALS = 2000
-"""Normals of more places change the attitude by less than its uncertainty."""
+"""More normals change the attitude by less than its uncertainty."""
 
 
 class AttitudeConfig(Section):
-    """Estimation of roll and pitch of single scans without odometry and gravity."""
+    """Estimation of roll and pitch of single scans without odometry or gravity."""
 
     estimate: bool = Field(
         True,
@@ -56,14 +56,14 @@ class AttitudeConfig(Section):
 
 @dataclass(frozen=True)
 class Attitude:
-    """Which way is up.
+    """Direction of gravity in a scan.
 
     Attributes
     ----------
     up : (3,) float64
         Unit vector against gravity, in the sensor's frame.
     sigma_deg : float
-        Standard deviation in the direction that is known least, degrees.
+        Standard deviation in the least certain direction [deg].
     """
 
     up: Float64
@@ -71,20 +71,20 @@ class Attitude:
 
     @property
     def tilt_deg(self) -> float:
-        """The angle between the sensor's z axis and the vertical."""
+        """Angle between the sensor's z axis and the vertical [deg]."""
         return angle_deg(self.up, _Z)
 
 
 def angle_deg(a: Float64, b: Float64) -> float:
-    """The angle between two (3,) vectors, degrees; exact for small ones too."""
+    """Return the angle between two (3,) vectors [deg]; exact for small angles too."""
     return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
 
 
 class AttitudeEstimator:
-    """Estimates the vertical to which floors and ceilings are normal and walls parallel.
+    """Estimates the vertical: normal to floors and ceilings, parallel to walls.
 
-    Normals of flat places vote for directions on a grid around where up is expected; the best is
-    refined by least squares over the normals that agree, with a tolerance that shrinks.
+    Normals of flat patches vote for directions on a grid around the expected vertical. The best
+    direction is refined by least squares over the normals that agree, with a shrinking tolerance.
     """
 
     def __init__(self, config: AttitudeConfig | None = None) -> None:
@@ -92,15 +92,14 @@ class AttitudeEstimator:
         self._grid = _directions(self.config.max_tilt_deg)
 
     def estimate(self, points: Float32, expected: Float64 = _Z) -> Attitude | None:
-        """The attitude of the sensor; None where too little that is flat is in view.
+        """Estimate the attitude of the sensor; None if too few flat surfaces are in view.
 
         Parameters
         ----------
         points : (N, 3) float32
             Sensor frame.
         expected : (3,) float64
-            Unit vector: about where up is. Of the directions that floors and walls allow, the one
-            within ``max_tilt_deg`` of it is meant.
+            Unit vector: the approximate vertical. The estimate lies within ``max_tilt_deg`` of it.
         """
         normals = self.normals(points)
         if len(normals) < self.config.min_normals:
@@ -113,7 +112,7 @@ class AttitudeEstimator:
         return found
 
     def normals(self, points: Float32) -> Float32:
-        """Unit normals, of either sign, of flat places near the sensor, (M, 3).
+        """Return the unit normals, of either sign, of flat patches near the sensor, (M, 3).
 
         Parameters
         ----------
@@ -132,10 +131,10 @@ class AttitudeEstimator:
         )
 
 
-def _directions(most_deg: float) -> Float64:
-    """Unit vectors about evenly over the cap around z."""
+def _directions(max_tilt_deg: float) -> Float64:
+    """Return unit vectors spread about evenly over the cap around z."""
     rings = [np.array([[0.0, 0.0, 1.0]])]
-    for tilt in np.radians(np.arange(_STEP_DEG, most_deg + _STEP_DEG / 2, _STEP_DEG)):
+    for tilt in np.radians(np.arange(_STEP_DEG, max_tilt_deg + _STEP_DEG / 2, _STEP_DEG)):
         count = max(6, round(2 * math.pi * math.sin(tilt) / math.radians(_STEP_DEG)))
         turn = 2 * math.pi * np.arange(count) / count
         ring = [math.sin(tilt) * np.cos(turn), math.sin(tilt) * np.sin(turn)]
@@ -144,7 +143,7 @@ def _directions(most_deg: float) -> Float64:
 
 
 def _refined(normals: Float32, up: Float64) -> Attitude:
-    """Fit the direction along the normals of floors and across those of walls, with its error."""
+    """Fit the direction parallel to floor normals and normal to wall normals, with its error."""
     tolerance, exact = _TOLERANCES_RAD[-1], normals.astype(np.float64)
     along = np.abs(exact @ up)
     floors, walls = exact[along > math.cos(tolerance)], exact[along < math.sin(tolerance)]

@@ -1,4 +1,4 @@
-"""Scan(s) -> local cloud: what lies around one pose, seen over a short path."""
+"""Scans -> local cloud: the points around one pose, accumulated along a short path."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class LocalCloudConfig(Section):
 def window(
     poses: NDArray[np.float64], index: int, length_m: float, *, centred: bool, max_gap_m: float
 ) -> range:
-    """The scans around ``index`` that a local cloud is gathered from.
+    """Return the scans around ``index`` that form its local cloud.
 
     Parameters
     ----------
@@ -45,10 +45,10 @@ def window(
     length_m : float
         Travelled distance that the window spans.
     centred : bool
-        Half of the path before and half behind the scan (maps); otherwise all of it before the
-        scan (a robot that localizes has no future).
+        True for half of the path before and half after the scan (maps); False for all of it
+        before the scan (a robot).
     max_gap_m : float
-        A longer step between two scans is a break in the recording: the window ends there.
+        A longer step between two scans ends the window.
     """
     behind, ahead = (length_m / 2, length_m / 2) if centred else (length_m, 0.0)
     positions = poses[:, :3, 3]
@@ -69,7 +69,7 @@ def _walk(positions: NDArray[Any], index: int, step: int, length: float, max_gap
 
 
 Scans = Scan | Sequence[Scan] | NDArray[Any]
-"""What a local cloud is gathered from: one scan, an (N, 3) array of points, or several scans."""
+"""The scans of a local cloud: one scan, an (N, 3) array of points, or several scans."""
 
 
 class Accumulator:
@@ -80,22 +80,22 @@ class Accumulator:
         self._attitudes = AttitudeEstimator(self.config.attitude)
 
     def gather(self, scans: Scans, reference: int = -1) -> LocalCloud:
-        """The local cloud of one scan or of several posed ones.
+        """Return the local cloud of one scan or of several posed ones.
 
         Parameters
         ----------
         scans : Scan, (N, 3) array, or list of Scan
             With more than one scan, each needs its ``T_odom_sensor``. The roll and pitch of a
-            single scan are those of its pose; without one, of its gravity; without either, they
-            are estimated from the scan. Where that fails the base is taken as level, on which the
-            sensor is mounted as the configuration, or else the scan's ``T_base_sensor``, says.
+            single scan are those of its pose, or else of its gravity, or else estimated from the
+            scan. If the estimate fails, the base is taken as level; the mount is the configured
+            one, or else the scan's ``T_base_sensor``.
         reference : int
-            The scan whose pose is wanted; the last one by default.
+            Index of the scan whose pose is estimated; the last one by default.
 
         Raises
         ------
         InvalidScan
-            If there is no scan, one of several has no pose, or they are something else.
+            If there is no scan, one of several has no pose, or the type is wrong.
         """
         scans = listed(scans)
         anchor = scans[reference]
@@ -107,44 +107,44 @@ class Accumulator:
         return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
 
     def _alone(self, scan: Scan) -> LocalCloud:
-        """The local cloud of a scan without a pose."""
+        """Return the local cloud of a scan without a pose."""
         up, attitude = self._up(scan)
         T_local_sensor = geometry.upright(up)
         points = self._moved(T_local_sensor, scan.points)
         return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
 
     def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
-        weighed = scan.gravity is not None
+        has_gravity = scan.gravity is not None
         expected = self.level(scan) if scan.gravity is None else -scan.gravity
-        if not self.config.attitude.estimate or (weighed and not scan.gravity_error_deg):
+        if not self.config.attitude.estimate or (has_gravity and not scan.gravity_error_deg):
             return expected, "given"
-        most = scan.gravity_error_deg if weighed else 180.0
+        max_error_deg = scan.gravity_error_deg if has_gravity else 180.0
         found = self._attitudes.estimate(scan.points, expected)
-        if found is None or angle_deg(found.up, expected) > most:
-            return expected, "given" if weighed else "assumed"
+        if found is None or angle_deg(found.up, expected) > max_error_deg:
+            return expected, "given" if has_gravity else "assumed"
         return found.up, "estimated"
 
     def level(self, scan: Scan, unknown: NDArray[np.float64] = _Z) -> NDArray[np.float64]:
-        """Where up is in the sensor's frame while its base stands level, (3,) float64.
+        """Return the vertical in the sensor's frame if its base is level, (3,) float64.
 
-        ``unknown`` where nothing says how the sensor is mounted.
+        It is ``unknown`` if the mount is not known.
         """
         configured = self.config.mount.T_base_sensor
         T_base_sensor = scan.T_base_sensor if configured is None else configured
         return unknown if T_base_sensor is None else T_base_sensor[2, :3].copy()
 
     def _moved(self, T_local_sensor: Pose, points: Float32) -> Float32:
-        """The points of a scan that belong to the local cloud, in its frame."""
+        """Return the points of a scan within the radius, in the frame of the local cloud."""
         return _native.moved_crop(points, T_local_sensor, self.config.radius_m)
 
 
 def listed(scans: Scans) -> Sequence[Scan]:
-    """The scans of a query as a sequence.
+    """Return the scans of a query as a sequence.
 
     Raises
     ------
     InvalidScan
-        If there is none, or they are something else.
+        If there is none, or the type is wrong.
     """
     if isinstance(scans, Scan):
         return [scans]
@@ -165,12 +165,12 @@ def listed(scans: Scans) -> Sequence[Scan]:
 
 
 def odometry_pose(scan: Scan) -> Pose:
-    """The pose by which a scan is accumulated.
+    """Return the odometry pose of a scan.
 
     Raises
     ------
     InvalidScan
-        If it has none.
+        If the scan has none.
     """
     if scan.T_odom_sensor is None:
         raise InvalidScan(

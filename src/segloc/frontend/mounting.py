@@ -17,10 +17,10 @@ Row = tuple[float, float, float, float]
 
 
 class MountConfig(Section):
-    """Where the sensor is on its base: a frame whose z axis is up while the robot stands level.
+    """Pose of the sensor on its base, a frame whose z axis is vertical on level ground.
 
-    By position and angles, or by a matrix. Of the robot that a recording is of, so a map does not
-    hand it on to its queries.
+    Given by position and angles, or by a matrix. It belongs to the robot that made a recording, so
+    queries do not take it from the map.
     """
 
     xyz_m: tuple[Metres, Metres, Metres] | None = Field(
@@ -38,7 +38,7 @@ class MountConfig(Section):
     def _check(self) -> MountConfig:
         if self.matrix is not None:
             if self.xyz_m is not None or self.rpy_deg is not None:
-                raise ValueError("matrix stands in place of xyz_m and rpy_deg: leave them out")
+                raise ValueError("matrix replaces xyz_m and rpy_deg: leave them out")
             checked_pose(self.matrix, "matrix")
         if self.poses_of_base and self.T_base_sensor is None:
             raise ValueError("poses_of_base needs xyz_m, rpy_deg or matrix")
@@ -46,7 +46,7 @@ class MountConfig(Section):
 
     @property
     def T_base_sensor(self) -> Pose | None:
-        """The (4, 4) transform; None where nothing is said of it."""
+        """The (4, 4) transform; None if none is configured."""
         if self.matrix is not None:
             return checked_pose(self.matrix, "matrix")
         if self.xyz_m is None and self.rpy_deg is None:
@@ -58,7 +58,7 @@ class MountConfig(Section):
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> Float64:
-    """Rz(yaw) Ry(pitch) Rx(roll) of angles in degrees, (3, 3) float64."""
+    """Return Rz(yaw) Ry(pitch) Rx(roll) of angles in degrees, (3, 3) float64."""
     (cr, sr), (cp, sp), (cy, sy) = (
         (math.cos(angle), math.sin(angle)) for angle in map(math.radians, (roll, pitch, yaw))
     )

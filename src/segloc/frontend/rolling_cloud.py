@@ -1,4 +1,4 @@
-"""Scans as they come, one by one -> the local cloud of a robot that drives on."""
+"""Scans, one at a time -> the local cloud of a moving robot."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from .local_cloud import Accumulator, LocalCloudConfig, odometry_pose
 
 VOXEL_SIZE = 0.2
 """Edge of the lattice, metres: that of the voxel grid in which accumulated clouds are segmented."""
-MOST_SCANS = 4096
-"""Held at once: of a robot that stands, with ``min_step_m`` 0, the oldest leave."""
+MAX_SCANS = 4096
+"""Scans held at once; the oldest are dropped, as of a robot at rest with ``min_step_m`` 0."""
 
 
 class RollingCloud:
     """Local cloud of a robot that keeps driving; each scan is added and dropped once.
 
-    It holds the scans of the last ``config.window_m`` metres of travel. Its cloud is the same, bit
-    for bit, as that of a new one with only these scans.
+    It holds the scans of the last ``config.window_m`` metres of travel. Its cloud equals, bit for
+    bit, that of a new one with only these scans.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class RollingCloud:
 
     Notes
     -----
-    Threads may share one; they take turns.
+    Thread-safe: calls take turns.
     """
 
     def __init__(
@@ -95,17 +95,17 @@ class RollingCloud:
             Points in the sensor's frame, metres.
         T_odom_sensor : (4, 4) array, optional
             Pose of the sensor in the odometry's frame, whose z axis points up; by default the
-            scan's own. After a step longer than ``config.max_gap_m`` the window begins anew.
+            scan's own. A step longer than ``config.max_gap_m`` starts a new window.
 
         Returns
         -------
         int
-            The number of the scan, by which its pose can be corrected.
+            Number of the scan, for :meth:`correct`.
 
         Raises
         ------
         InvalidScan
-            If it is no scan, or has no pose; nothing is changed then.
+            If it is no scan, or has no pose; the window is unchanged.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
         T = pose_if_given(T_odom_sensor, "T_odom_sensor")
@@ -118,7 +118,7 @@ class RollingCloud:
                 self._window.clear()
             elif len(steps) > 1 and steps[-2] < self.min_step_m:
                 self._window.drop(len(self) - 1)
-            elif len(self) >= MOST_SCANS:
+            elif len(self) >= MAX_SCANS:
                 self._window.drop(0)
             self._window.push(self._added, scan, T)
             self._added += 1
@@ -128,7 +128,7 @@ class RollingCloud:
     def correct(self, poses: Mapping[int, ArrayLike]) -> None:
         """Move scans to corrected poses.
 
-        The cloud is then the same, bit for bit, as if they had been added there.
+        The cloud then equals, bit for bit, that of scans added at these poses.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class RollingCloud:
         Raises
         ------
         InvalidScan
-            If a pose is not a rigid transform, or they lie too far apart; nothing is changed then.
+            If a pose is not a rigid transform, or they lie too far apart; the window is unchanged.
         """
         checked = {k: checked_pose(T, f"poses[{k}]") for k, T in poses.items()}
         with self._turn:
@@ -156,7 +156,7 @@ class RollingCloud:
         Raises
         ------
         InvalidScan
-            If no scan was added yet, or there is none at this position.
+            If there is no scan, or none at this position.
         """
         with self._turn:
             return self._window.cloud(reference)
@@ -167,12 +167,12 @@ class RollingCloud:
             self._window.clear()
 
     def _steps(self, *ahead: Pose) -> Float64:
-        """Metres from each scan that is held to the next, and on to a pose ahead."""
+        """Return the distances between consecutive scans and on to a pose ahead [m]."""
         places = np.concatenate([self.poses, np.array(ahead).reshape(-1, 4, 4)])[:, :3, 3]
         return np.asarray(np.linalg.norm(np.diff(places, axis=0), axis=1))
 
     def _trim(self) -> None:
-        """Drop what lies farther back than the window, or behind a gap."""
+        """Drop the scans outside of the window or behind a gap."""
         back = self._steps()[::-1]
         outside = (np.cumsum(back) > self.config.window_m) | (back > self.config.max_gap_m)
         if outside.any():
@@ -182,7 +182,7 @@ class RollingCloud:
 
 @dataclass(frozen=True)
 class _Held:
-    """A scan of the window. Its points are the native window's."""
+    """A scan of the window; its points are in the native window."""
 
     number: int
     T_odom_sensor: Pose
@@ -190,24 +190,24 @@ class _Held:
 
 
 class ScanWindow:
-    """Posed scans on one lattice, from which the local cloud around each of them is made.
+    """Posed scans on one lattice, with the local cloud around each of them.
 
     The lattice is fixed in the odometry's frame. Each scan is thinned once, to voxels of half the
-    edge. What is summed up is in whole numbers, so that a cloud depends on nothing but the scans
-    that are held and their poses: not on their order, nor on scans that have left.
+    edge. Sums are integers, so a cloud depends only on the held scans and their poses: not on
+    their order, nor on dropped scans.
 
     Parameters
     ----------
     config : LocalCloudConfig
     voxel_size : float
-        Edge of the lattice, metres.
+        Edge of the lattice [m].
     length_m : float
-        Farthest that scans of one window lie apart, metres.
+        Largest distance between scans of one window [m].
 
     Raises
     ------
     ConfigError
-        If the voxels are too small for the reach of the window.
+        If the voxels are too small for the window.
     """
 
     def __init__(self, config: LocalCloudConfig, voxel_size: float, length_m: float) -> None:
@@ -229,12 +229,12 @@ class ScanWindow:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the scans that are held, first to last."""
+        """Numbers of the scans held, first to last."""
         return tuple(held.number for held in self._held)
 
     @property
     def poses(self) -> Float64:
-        """T_odom_sensor of the scans that are held, (N, 4, 4)."""
+        """T_odom_sensor of the scans held, (N, 4, 4)."""
         return np.array([held.T_odom_sensor for held in self._held]).reshape(-1, 4, 4)
 
     @property
@@ -243,7 +243,7 @@ class ScanWindow:
         return self._voxels.nbytes
 
     def push(self, number: int, scan: Scan, T_odom_sensor: Pose) -> None:
-        """Add a scan behind the others.
+        """Append a scan.
 
         Raises
         ------
@@ -258,16 +258,16 @@ class ScanWindow:
         self._newest = scan
 
     def drop(self, position: int) -> None:
-        """Take the scan at a position away, 0 for the first."""
+        """Drop the scan at a position, 0 for the first."""
         self._voxels.drop(position)
         del self._held[position]
 
     def clear(self) -> None:
-        """Take all scans away."""
+        """Drop all scans."""
         self._voxels, self._held, self._newest = self._fresh(), [], None
 
     def move(self, poses: Mapping[int, Pose]) -> None:
-        """Put scans, by their numbers, to other poses; all or, where one is wrong, none.
+        """Move scans, by their numbers, to other poses; none if one pose is wrong.
 
         Raises
         ------
@@ -287,12 +287,12 @@ class ScanWindow:
         self._held = moved
 
     def cloud(self, reference: int = -1) -> LocalCloud:
-        """The local cloud around the scan at a position; a scan alone is that scan, not thinned.
+        """Return the local cloud around the scan at a position; a single scan is not thinned.
 
         Raises
         ------
         InvalidScan
-            If no scan is held, or none at this position.
+            If there is no scan, or none at this position.
         """
         if not -len(self._held) <= reference < len(self._held):
             raise InvalidScan(f"no scan at position {reference} of {len(self._held)} in the window")
@@ -310,17 +310,17 @@ class ScanWindow:
 
 
 class RecordedWindows:
-    """Local clouds of windows along a recording, each scan of which is read and thinned once.
+    """Local clouds of windows along a recording; each scan is read and thinned once.
 
     Parameters
     ----------
     read : callable
-        The scan at a position of the recording, with its pose.
+        Returns the scan at a position of the recording, with its pose.
     config : LocalCloudConfig
     voxel_size : float
-        Edge of the lattice, metres.
+        Edge of the lattice [m].
     length_m : float
-        The longest window.
+        Length of the longest window [m].
     """
 
     def __init__(
@@ -334,16 +334,16 @@ class RecordedWindows:
         self._window = ScanWindow(config, voxel_size, length_m)
 
     def cloud(self, scans: range, index: int, times: StageTimes | None = None) -> LocalCloud:
-        """The local cloud of some consecutive scans around one of them.
+        """Return the local cloud of consecutive scans around one of them.
 
         Parameters
         ----------
         scans : range
-            Positions. Work is saved where a window begins and ends no earlier than the last one.
+            Positions. A window that begins and ends no earlier than the last one reuses its scans.
         index : int
             Position of the reference scan, one of them.
         times : StageTimes, optional
-            Given the time of "gathering", without that of reading.
+            Receives the time of "gathering", without reading.
 
         Raises
         ------

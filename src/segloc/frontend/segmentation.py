@@ -12,22 +12,22 @@ from .. import _native
 from ..system.section import Section
 from ..types import Float32, LocalCloud, Segments
 
-WIDEST_LINK = 1.25
-"""Points that lie so much closer together than the tolerance link up, nearly all of an object."""
-LINK = 1.7
-"""Where they lie farther apart, the tolerance becomes so many times their distance."""
-FEWEST_POINTS = 8
-"""Of a segment, however far apart they are: fewer have no shape."""
+MIN_TOLERANCE_TO_SPACING = 1.25
+"""Tolerance over point spacing from which nearly all points of an object link."""
+TOLERANCE_TO_SPACING = 1.7
+"""Tolerance over point spacing in sparser clouds."""
+MIN_POINTS = 8
+"""Points of the smallest segment of a sparse cloud: fewer have no shape."""
 SPACING_SAMPLE = 128
-"""Points whose neighbours are looked for."""
+"""Points of which the spacing is measured."""
 
 HeightAboveGround = Annotated[float, Field(ge=-100, le=100)]
 
 
 class ClusterConfig(Section):
-    """Parameters that follow the density of the cloud.
+    """Parameters that depend on the density of the cloud.
 
-    They are for clouds whose points lie closer together than ``tolerance / WIDEST_LINK``.
+    They fit clouds with a point spacing below ``tolerance / MIN_TOLERANCE_TO_SPACING``;
     :meth:`widened` adapts them to sparser ones.
     """
 
@@ -45,21 +45,21 @@ class ClusterConfig(Section):
     )
 
     def widened(self, points: Float32) -> ClusterConfig:
-        """These settings, or where the points are too far apart for them, others that link them.
+        """Return these settings, adapted if the points are too far apart to link.
 
         Parameters
         ----------
         points : (N, 3) float32
-            Above ground, in the order of a voxel grid.
+            Points above ground, in the order of a voxel grid.
         """
-        most_apart = self.tolerance / WIDEST_LINK
-        spacing = _native.point_spacing(points, most_apart, SPACING_SAMPLE)
-        if spacing <= most_apart:
+        max_spacing = self.tolerance / MIN_TOLERANCE_TO_SPACING
+        spacing = _native.point_spacing(points, max_spacing, SPACING_SAMPLE)
+        if spacing <= max_spacing:
             return self
-        fewer = self.min_points * (most_apart / spacing) ** 2  # an object's points are its surface
+        fewer = self.min_points * (max_spacing / spacing) ** 2  # points lie on surfaces
         changes = {
-            "tolerance": max(self.tolerance, LINK * spacing),
-            "min_points": min(self.min_points, max(FEWEST_POINTS, round(fewer))),
+            "tolerance": max(self.tolerance, TOLERANCE_TO_SPACING * spacing),
+            "min_points": min(self.min_points, max(MIN_POINTS, round(fewer))),
         }
         return self.model_copy(update=changes)
 
@@ -88,13 +88,13 @@ class SegmentationConfig(Section):
 
 
 _BLOCK_CELLS = 4096
-"""Width of a block that has a grid of its own: 64 MB."""
+"""Width of a block with its own ground grid: 64 MB."""
 
 
 def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32:
-    """The height of each of (N, 3) points above the ground below it, (N,), metres.
+    """Return the height of each of (N, 3) points above the ground below it [m], (N,).
 
-    Of a cloud that is kilometres wide each block of ``_BLOCK_CELLS`` cells has ground of its own.
+    In a cloud kilometres wide, the ground of each block of ``_BLOCK_CELLS`` cells is found alone.
     """
     ground = config.ground_cell, config.ground_slope, config.ground_step
     wide = _BLOCK_CELLS * config.ground_cell
@@ -112,15 +112,15 @@ def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What one local cloud was divided into.
+    """Segments, structure and ground of a local cloud.
 
     Attributes
     ----------
     segments : Segments
     structure : (N, 3) float32
-        The voxelised points above ground, local frame: what verification compares with the map.
+        Voxelised points above ground, local frame. Verification compares them with the map.
     ground : (M, 3) float32
-        The others, thinned: they hold the height and the tilt of a pose.
+        The other points, thinned. They fix the height and the tilt of a pose.
     """
 
     segments: Segments
@@ -142,8 +142,7 @@ class Segmenter:
     def segment(self, cloud: LocalCloud) -> Segmentation:
         """Voxelise, remove the ground, cluster above each height cut.
 
-        An object may give a segment at each cut: where a hedge joins two cars below, the upper cut
-        still parts them.
+        An object may have a segment at each cut: two cars joined by a hedge are separate above it.
         """
         config = self.config
         cluster = config.single if cloud.num_scans == 1 else config.accumulated

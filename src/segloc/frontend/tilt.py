@@ -1,4 +1,4 @@
-"""Whether the z axis of a recording's poses is up, by the walls in its scans; and turning it up."""
+"""Tilt of a recording's frame of poses, estimated from walls; and its correction."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from ..types import Float32, Float64, Pose, Recording, Reposed, Scan
 from .gravity import AttitudeEstimator, angle_deg
 from .local_cloud import Accumulator, LocalCloudConfig, window
 
-NOTICED_DEG = 1.5
-"""A frame that leans by less is level for all that follows."""
+MIN_TILT_DEG = 1.5
+"""Smallest tilt that matters to later stages."""
 _VIEWS = 12
 _VIEW_M = 16.0
-_ENOUGH_POINTS = 40_000  # of a view: one scan of many beams, or several sweeps
+_VIEW_POINTS = 40_000  # of a view: one scan of many beams, or several sweeps
 _SCANS_IN_MEMORY = 64
 _TOLERANCES_DEG = (15.0, 10.0, 6.0, 4.0, 3.0, 3.0)
-_FEWEST_WALLS = 100
-_SIDEWAYS = 0.05  # share of walls that must stand across the others
-_AGREEING = 1 / 3  # two halves of the views differ by less than this share of the lean
+_MIN_WALLS = 100  # normals
+_MIN_CROSSING = 0.05  # share of walls normal to the others
+_MAX_SPREAD = 1 / 3  # difference between two halves of the views, as a share of the tilt
 _Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Lean:
-    """How the frame of a recording's poses stands.
+class Tilt:
+    """Tilt of the frame of a recording's poses.
 
     Attributes
     ----------
     up : (3,) float64
         Unit vector against gravity, in that frame.
     spread_deg : float
-        Between what two halves of the views say.
+        Difference between the estimates of two halves of the views [deg].
     """
 
     up: Float64
@@ -46,20 +46,20 @@ class Lean:
 
     @property
     def tilt_deg(self) -> float:
-        """The angle between the frame's z axis and the vertical."""
+        """Angle between the frame's z axis and the vertical [deg]."""
         return angle_deg(self.up, _Z)
 
     @property
-    def noticed(self) -> bool:
-        """Whether the frame is certainly not level."""
-        return self.tilt_deg > NOTICED_DEG and self.spread_deg < _AGREEING * self.tilt_deg
+    def is_significant(self) -> bool:
+        """Whether the frame is not level, beyond the uncertainty."""
+        return self.tilt_deg > MIN_TILT_DEG and self.spread_deg < _MAX_SPREAD * self.tilt_deg
 
 
-def frame_lean(recording: Recording, config: LocalCloudConfig) -> Lean | None:
-    """How the frame of the poses leans, by walls in views all along the path.
+def frame_tilt(recording: Recording, config: LocalCloudConfig) -> Tilt | None:
+    """Estimate the tilt of the frame of poses from walls in views along the trajectory.
 
-    Of walls only: ground may rise, and does so for long stretches. None where there are no poses,
-    or too few walls, or all of them face one way.
+    Only walls are used, since ground may rise over long stretches. None without poses, with too
+    few walls, or if all walls face one way.
 
     Raises
     ------
@@ -87,11 +87,11 @@ def frame_lean(recording: Recording, config: LocalCloudConfig) -> Lean | None:
     halves = [_across_walls(np.concatenate(part), about) for part in _halves(normals)]
     if up is None or halves[0] is None or halves[1] is None:
         return None
-    return Lean(up, angle_deg(halves[0], halves[1]))
+    return Tilt(up, angle_deg(halves[0], halves[1]))
 
 
 def _positions(poses: Float64) -> list[int]:
-    """Scans spread over the path; over the recording where it does not move."""
+    """Return scans spread over the trajectory, or over the recording of a sensor at rest."""
     travelled = geometry.travelled(poses)
     if travelled[-1] < 1.0:
         return geometry.spread(len(poses), 4)
@@ -99,14 +99,14 @@ def _positions(poses: Float64) -> list[int]:
 
 
 def _view(read: Callable[[int], Scan], poses: Float64, position: int, scans: range) -> Float32:
-    """The points of a scan, and of those around it until there are enough, in its frame."""
+    """Return the points of a scan and of its neighbours until there are enough, in its frame."""
     T_sensor_odom = geometry.inverse(poses[position])
     clouds, count = [], 0
     for i in sorted(scans, key=lambda i: abs(i - position)):
         points = read(i).points
         clouds.append(points if i == position else _moved(T_sensor_odom @ poses[i], points))
         count += len(points)
-        if count >= _ENOUGH_POINTS:
+        if count >= _VIEW_POINTS:
             break
     return np.concatenate(clouds)
 
@@ -116,50 +116,51 @@ def _moved(T: Pose, points: Float32) -> Float32:
 
 
 def _halves(parts: list[Float64]) -> tuple[list[Float64], list[Float64]]:
-    """Every other one; of one alone its own halves."""
+    """Split parts alternately into two halves; a single part by its rows."""
     if len(parts) == 1:
         return [parts[0][::2]], [parts[0][1::2]]
     return parts[::2], parts[1::2]
 
 
 def _across_walls(normals: Float64, up: Float64) -> Float64 | None:
-    """The direction that is most nearly across the normals of walls, from about where it is."""
+    """Fit the direction normal to the normals of walls, starting from ``up``."""
     for tolerance in _TOLERANCES_DEG:
         walls = normals[np.abs(normals @ up) < math.sin(math.radians(tolerance))]
-        if len(walls) < _FEWEST_WALLS:
+        if len(walls) < _MIN_WALLS:
             return None
         values, axes = np.linalg.eigh(walls.T @ walls)
-        if values[1] < _SIDEWAYS * len(walls):
+        if values[1] < _MIN_CROSSING * len(walls):
             return None
         up = axes[:, 0] * (1.0 if axes[:, 0] @ up > 0 else -1.0)
     return up
 
 
-def level_transform(lean: Lean, T_odom_first: Pose) -> Pose:
-    """T_level_odom, (4, 4): the least turn about a first pose's position that takes up to z."""
-    axis = np.cross(lean.up, _Z)
+def level_transform(tilt: Tilt, T_odom_first: Pose) -> Pose:
+    """Return T_level_odom, (4, 4): the smallest rotation about the first position that aligns z."""
+    axis = np.cross(tilt.up, _Z)
     length = float(np.linalg.norm(axis))
     R = np.eye(3)
     if length > 0.0:
-        R = Rotation.from_rotvec(math.radians(lean.tilt_deg) / length * axis).as_matrix()
+        R = Rotation.from_rotvec(math.radians(tilt.tilt_deg) / length * axis).as_matrix()
     origin = T_odom_first[:3, 3]
     return geometry.rigid(R, origin - R @ origin)
 
 
-def levelled(recording: Recording, lean: Lean | None) -> tuple[Reposed, Pose]:
-    """The recording with poses whose z axis is up, turned about the first, and T_level_odom.
+def levelled(recording: Recording, tilt: Tilt | None) -> tuple[Reposed, Pose]:
+    """Return the recording with level poses, rotated about the first one, and T_level_odom.
 
     Raises
     ------
     DatasetError
-        If it has no poses, or how they lean is not known.
+        If it has no poses, or their tilt is unknown.
     """
     poses = recording.poses
     if poses is None or not len(poses):
-        raise DatasetError(f"{recording.name}: there are no poses to be levelled")
-    if lean is None:
+        raise DatasetError(f"{recording.name}: no poses to level; give poses by --poses")
+    if tilt is None:
         raise DatasetError(
-            f"{recording.name}: cannot be levelled: the scans show too few walls to tell what is up"
+            f"{recording.name}: cannot be levelled: too few walls in the scans; "
+            "leave out --level (mapping.level)"
         )
-    T = level_transform(lean, poses[0])
+    T = level_transform(tilt, poses[0])
     return Reposed(recording, T @ poses), T

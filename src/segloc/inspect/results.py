@@ -207,7 +207,7 @@ def pack(query: Stages) -> bytes:
     arrays |= {name: getattr(query, name).astype(np.int32) for name in ("segment_of", "matched")}
     text = np.frombuffer(json.dumps(entries).encode(), np.uint8)
     file = io.BytesIO()
-    np.savez_compressed(file, said=text, **arrays)
+    np.savez_compressed(file, text=text, **arrays)
     return file.getvalue()
 
 
@@ -225,7 +225,7 @@ def unpack(data: bytes, where: str) -> Stages:
                 raise ValueError("too large")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        entries = json.loads(arrays["said"].tobytes())
+        entries = json.loads(arrays["text"].tobytes())
         points = {name: arrays[name].reshape(-1, 3) * np.float32(_STEP_M) for name in _POINTS}
         query = Stages(
             name=str(entries["name"]),

@@ -95,7 +95,7 @@ def trace(
 ) -> Trace:
     """Localize a local cloud like :meth:`Localizer.localize`, and return the stages."""
     times = times or StageTimes(localizer.clock)
-    query = localizer.in_one_piece().describe(cloud, times)
+    query = localizer.require_untiled().describe(cloud, times)
     found = localizer.search(query, times, near=near)
     result = answer(query, found, times.with_total())
     best = found.posterior.best

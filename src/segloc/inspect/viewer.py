@@ -58,7 +58,7 @@ _PANEL = Template("""
 <script>
 (() => {
   const queries = $queries, seconds = $seconds;
-  const [box, head, said, stages, title, parts] =
+  const [box, head, summary, stages, title, parts] =
     ["select", "b", "p", "table", "p ~ b", ".parts"].map((name) =>
       document.querySelector("#segloc > " + name));
   const fill = (table, rows) => table.replaceChildren(...rows.map((row) => {
@@ -75,7 +75,7 @@ _PANEL = Template("""
     box.value = k;
     head.textContent = q.index + ": " + q.outcome;
     head.style.color = q.colour;
-    said.textContent = q.said;
+    summary.textContent = q.summary;
     fill(stages, q.stages);
     fill(parts, q.parts);
     title.hidden = parts.hidden = !q.parts.length;
@@ -375,7 +375,7 @@ def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
             "index": query.index,
             "outcome": query.outcome,
             "colour": _COLOURS[query.outcome],
-            "said": query.text if shown is None else shown.summary,
+            "summary": query.text if shown is None else shown.summary,
             "stages": [] if shown is None else [line.split(": ", 1) for line in shown.steps],
             "parts": [] if shown is None else [line.split(" ", 1) for line in shown.parts],
         }

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..system.budget import check_points
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..types import Float32, Scan
 
 _WIDTHS = (4, 3, 5)  # KITTI's first
@@ -40,7 +40,7 @@ def parse_kitti(data: bytes) -> Scan:
     check_points(len(rows))
     if _beyond(rows) > _MAX_BEYOND:
         raise DatasetError(
-            f"rows of {widths[0]} float32 have coordinates beyond {MOST_METRES:.0e} m: not a KITTI "
+            f"rows of {widths[0]} float32 have coordinates beyond {MAX_METRES:.0e} m: not a KITTI "
             f"scan{_other_records(len(data))}"
         )
     return Scan(rows)
@@ -61,7 +61,7 @@ def _values(data: bytes) -> Float32:
 def _beyond(rows: Float32) -> float:
     """Return the share of rows with implausible coordinates; missing returns do not count."""
     points = rows[np.isfinite(rows[:, :3]).all(axis=1), :3]
-    return float((np.abs(points) > MOST_METRES).any(axis=1).mean()) if len(points) else 0.0
+    return float((np.abs(points) > MAX_METRES).any(axis=1).mean()) if len(points) else 0.0
 
 
 def _other_records(size: int) -> str:

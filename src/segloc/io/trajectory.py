@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import DatasetError
 from ..system.budget import check_points
-from ..system.checks import MOST_METRES, are_rotations
+from ..system.checks import MAX_METRES, are_rotations
 from ..system.files import write_text
 from ..types import Float64, Pose
 from .fields import faults_of, one_line
@@ -94,7 +94,7 @@ class Trajectory:
     """Poses of a sensor by time.
 
     Raise DatasetError if a shape is wrong, a value is not finite, a pose is not rigid, lies beyond
-    ``MOST_METRES`` or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not rise.
+    ``MAX_METRES`` or farther than ``LONGEST_STEP_M`` from the one before, or stamps do not rise.
     """
 
     stamps: Float64  # (N,) seconds, or any index; strictly rising
@@ -155,7 +155,7 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
         "a value that is not finite": ~finite,
         "not a rigid transform": ~rigid,
         "stamps that do not rise": ~rising,
-        f"a position beyond {MOST_METRES:.0e} m": too_far(poses),
+        f"a position beyond {MAX_METRES:.0e} m": too_far(poses),
         f"a position more than {LONGEST_STEP_M / 1000:.0f} km from the one before": torn(poses),
     }
     bad = np.logical_or.reduce(list(faults.values()))
@@ -166,9 +166,9 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
 
 
 def too_far(poses: Float64) -> NDArray[np.bool_]:
-    """Return which poses (N, 4, 4) lie beyond ``MOST_METRES``."""
+    """Return which poses (N, 4, 4) lie beyond ``MAX_METRES``."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(poses[:, :3, 3]) > MOST_METRES).any(axis=1))
+        return np.asarray((np.abs(poses[:, :3, 3]) > MAX_METRES).any(axis=1))
 
 
 def torn(poses: Float64) -> NDArray[np.bool_]:

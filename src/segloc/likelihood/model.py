@@ -1,4 +1,4 @@
-"""How much likelier a query is from a pose than from none of the map: a fitted linear model."""
+"""Log-likelihood ratio of a pose against "not in this map": a fitted linear model."""
 
 from __future__ import annotations
 
@@ -28,51 +28,42 @@ FEATURES = (
 """Names of the features, in the order of :meth:`Model.features`."""
 
 _PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
-"""Points by which shares are smoothed: few say little."""
+"""Points by which shares are smoothed."""
 _CHANCE_OVERLAP = 0.25
 _CHANCE = {"flush": Count(40, 100), "ground": Count(80, 100), "seen": Count(50, 100)}
-"""What stands in for a rival where there is none."""
+"""Counts of a runner-up if there is none."""
 _CHANCE_INLIERS = 4
-"""Segments that agree on some wrong pose of any map."""
+"""Inliers of some wrong pose of any map."""
 _MAX_IN_VIEW = 3000
-"""Map points in view beyond which more say no more."""
+"""Largest number of map points in view that counts."""
 FREE, OBSTRUCTED = Count(0, 2000), Count(2000, 2000)
-"""What stands in free space at best and at worst."""
+"""Occupied free space at best and at worst."""
 
 _SEEN, _INTRUDING = 0.75, 0.02
-"""Shares of the map in view that are seen, and of a query that stand in free space, at right poses
-where things have changed."""
+"""Shares of the seen map in view, and of a query in free space, at correct poses after changes."""
 
 
 class Model(Section):
-    """The log-ratio of a pose: its features, weighed.
+    """Log-ratio of a pose: a weighted sum of its features."""
 
-    Attributes
-    ----------
-    weights : dict of str to float
-        By the names of :data:`FEATURES`; no unit, natural logarithms.
-    none : float
-        The score of "not in this map".
-    unseen : float
-        Log-probability that a place which segments do not name fits as well as the one they do.
-    lapse : float
-        Probability that a query is like none that the model was fitted to.
-    settings : dict
-        The configuration under which the model was fitted.
-    card : dict
-        Data, command, figures and reliability of the fit.
-    """
-
-    format: int = Field(ge=4, le=4)
-    weights: Mapping[str, float]
-    none: float
-    unseen: float
-    lapse: float = Field(ge=0, lt=1)
-    settings: Mapping[str, Any] = {}
-    card: Mapping[str, Any]
+    format: int = Field(ge=4, le=4, description="format version")
+    weights: Mapping[str, float] = Field(
+        description="weight of each feature; natural logarithms, no unit"
+    )
+    none: float = Field(description='score of "not in this map"')
+    unseen: float = Field(
+        description="log-probability that a place without segment matches fits as well as the best"
+    )
+    lapse: float = Field(
+        ge=0, lt=1, description="probability of a query unlike all queries of the fit"
+    )
+    settings: Mapping[str, Any] = Field(
+        {}, description="configuration of the fit; other values are a note of a localizer"
+    )
+    card: Mapping[str, Any] = Field(description="data, command, figures and reliability of the fit")
 
     def log_ratio(self, features: Sequence[float]) -> float:
-        """How much likelier a pose is than "not in this map", by :meth:`features`."""
+        """Return the log-ratio of a pose against "not in this map", by :meth:`features`."""
         weighed = (self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
         return sum(weighed) - self.none
 
@@ -83,18 +74,18 @@ class Model(Section):
         inliers: int,
         unknown: Count = DOUBTFUL,
     ) -> tuple[float, ...]:
-        """What is weighed of a pose.
+        """Return the features of a pose.
 
         Parameters
         ----------
         fit : Observation
         others : sequence of Observation
-            At other places. Overlap and visibility are compared with those of the best of them,
-            ground and walls with the best of each.
+            Fits at other places. Overlap and visibility are compared with the best of them, ground
+            and walls with the best of each.
         inliers : int
-            The most that agree with any pose at another place.
+            Most inliers of any pose at another place.
         unknown : Count
-            What stands in free space, where that was not measured.
+            Occupied free space, if it was not measured.
         """
         overlap, seen = _CHANCE_OVERLAP, _CHANCE["seen"]
         if others:
@@ -114,10 +105,9 @@ class Model(Section):
         )
 
     def consistency(self, fit: Observation) -> float:
-        """The part of a pose's score that does not ask for more than the map has.
+        """Return the part of a pose's score that is independent of unmapped parts of the query.
 
-        What is not in the map lowers the rest. Here what is in view of both is compared with right
-        poses where things have changed.
+        Points in view of both are compared with those of correct poses after changes.
         """
         seen, intruding = fit.seen, fit.intruding
         usual = Count(round(_SEEN * seen.of), seen.of)
@@ -127,22 +117,22 @@ class Model(Section):
         ) + self.weights["free_space"] * (free_space(intruding) - free_space(clear))
 
     def margin(self, inliers: int, elsewhere: int) -> float:
-        """How much likelier a pose is than one that fits as well but for its segments."""
+        """Return the log-ratio of a pose to another that differs only in its inliers."""
         return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)
 
 
 def inlier_ratio(inliers: int, elsewhere: int) -> float:
-    """Logarithm of how many times as many segments agree as elsewhere, or as by chance."""
+    """Return the log of the ratio of inliers to those elsewhere, or to chance."""
     return math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
 
 
 def free_space(intruding: Count) -> float:
-    """How little stands in free space of the map."""
+    """Return the negative log of the share of occupied free space."""
     return -math.log((intruding.hits + 2.0) / (intruding.of + 40.0))
 
 
 def share_odds(share: float) -> float:
-    """The odds of a share on a logarithmic scale that ends at 0 and 1."""
+    """Return the log-odds of a share, bounded at 0 and 1."""
     return math.log((share + 0.05) / (1.05 - share))
 
 
@@ -177,5 +167,5 @@ def load_model(path: Path) -> Model:
 
 @cache
 def shipped_model() -> Model:
-    """The model that comes with the package."""
+    """Return the shipped model."""
     return load_model(Path(__file__).resolve().parent.parent / "weights" / "posterior.json")

@@ -1,7 +1,7 @@
-"""Poses around a candidate at which the clouds fit about as well: better starts, and rivals.
+"""Poses around a candidate at which the clouds fit similarly: better starts, and aliases.
 
-Corridors and rows of pillars look alike a few metres on, and halls look alike from the other end:
-segments found there say little about which of the places it is, but the clouds do.
+Corridors and rows of pillars repeat every few metres, and halls are similar from the other end.
+Clouds separate such places better than segments.
 """
 
 from __future__ import annotations
@@ -22,26 +22,24 @@ from ..types import Float32, Float64, Pose
 
 _SLIGHTLY_DEG = (0.0, -8.0, -4.0, 4.0, 8.0)
 _BETTER = 1.05
-"""Another start is tried where the clouds fit so many times as well."""
+"""Least relative fit of another start."""
 _RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
-"""Storeys are looked for in steps of this, up and down to where the map ends so near."""
+"""Step of the search for storeys, radius of the map points that bound it, and their number."""
 _STOREY_FITS = 0.8
-"""Another storey is a rival at which the clouds fit so many times as well."""
+"""Least relative fit of a rival on another storey."""
 _ABOUT_DEG = (90.0, 180.0, 270.0)
-"""Places built by people look alike when one turns by right angles."""
+"""Turns at which built places are similar."""
 
 
 class NearbyConfig(Section):
-    """How the surroundings of a candidate are searched."""
+    """Search around a candidate."""
 
     half_width_m: float = Field(
-        15.0, ge=0, le=40, description="the pose is shifted so far along x and y, metres"
+        15.0, ge=0, le=40, description="largest shift along x and y, metres"
     )
-    cell_m: float = Field(0.5, ge=0.25, le=5, description="in steps of this, metres")
-    range_m: float = Field(
-        30.0, ge=1, le=90, description="points this near the sensor are compared, metres"
-    )
-    most: int = Field(4, ge=0, le=100, description="rivals that are kept")
+    cell_m: float = Field(0.5, ge=0.25, le=5, description="step of the shifts, metres")
+    range_m: float = Field(30.0, ge=1, le=90, description="range of the compared points, metres")
+    most: int = Field(4, ge=0, le=100, description="most rivals kept")
 
 
 @dataclass(frozen=True)
@@ -51,9 +49,9 @@ class Surroundings:
     Attributes
     ----------
     start : (4, 4) float64
-        Where, at the place of the candidate, the clouds roughly fit best.
+        Best rough fit at the place of the candidate.
     rivals : list of (4, 4) float64
-        Different places where they do, best first.
+        Best rough fits at other places, best first.
     """
 
     start: Pose
@@ -61,15 +59,15 @@ class Surroundings:
 
 
 class NearbySearch:
-    """Shifts and turns a candidate, and compares the clouds at all these poses.
+    """Compares the clouds at shifted and rotated poses of a candidate.
 
     Parameters
     ----------
     index : PointIndex
-        Of the map's cloud.
+        Index of the map's cloud.
     config : NearbyConfig
     separation : Separation
-        Poses closer than this are one place.
+        Separation of distinct places.
     """
 
     def __init__(
@@ -81,7 +79,7 @@ class NearbySearch:
         self._slight = np.abs(degrees) < separation.degrees
 
     def around(self, points: Float32, T: Pose) -> Surroundings:
-        """The best poses around T, which takes (N, 3) points to the frame of the map's cloud."""
+        """Return the best poses around T, the transform of (N, 3) points to the map's cloud."""
         config = self._config
         counts, used = self._index.correlate(
             points, T, self._headings, config.cell_m, config.half_width_m, config.range_m
@@ -98,15 +96,15 @@ class NearbySearch:
         return Surroundings(self._moved(T, start, shifts), rivals)
 
     def storeys(self, points: Float32, T: Pose, radius: float) -> list[Pose]:
-        """Poses above and below T at which the clouds fit nearly as well as at T.
+        """Return poses above and below T at which the clouds fit nearly as well.
 
         Parameters
         ----------
         points : (N, 3) float32
         T : (4, 4) float64
-            Takes them to the frame of the map's cloud.
+            Transforms them to the frame of the map's cloud.
         radius : float
-            A point fits with a point of the map so near, metres.
+            Largest distance of a fitting point from the map [m].
         """
         x, y, z = (float(v) for v in T[:3, 3])
         near = self._index.sample(x, y, _STOREYS_M, _STOREYS_SAMPLE)
@@ -125,7 +123,7 @@ class NearbySearch:
         return found
 
     def _peaks(self, share: Float64, shifts: Float64) -> Iterator[tuple[int, int, int]]:
-        """The largest shares, each at another place than those before it."""
+        """Yield the largest shares, at distinct places."""
         while True:
             peak = _argmax(share)
             if share[peak] <= 0.0:

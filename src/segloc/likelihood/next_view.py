@@ -1,4 +1,4 @@
-"""Where to look next: from where do two places that are alike differ?"""
+"""Next best view: a step after which two similar places differ."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from ..types import Float64, Pose
 _DISTANCES_M = tuple(range(4, 44, 4))
 _BEARINGS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _RANGE_M, _SAMPLE = 25.0, 400
-"""Range and number of map points that are compared about a view."""
+"""Range and number of compared map points around a view."""
 _REACHED_M = 5.0
-"""Distance from the path of the map up to which a robot may go."""
+"""Largest distance from the mapped trajectory."""
 _RADIUS_M = 0.5
-"""A point with a map point within this is there, too."""
+"""Radius within which a point has a counterpart."""
 _DIFFERS = 0.15
-"""Share of points that tells places apart: change of things and noise explain less."""
+"""Share of differing points that separates places; noise and changes cause less."""
 
 
 def next_view(
     index: _native.PointIndex, path: Float64, T_one: Pose, T_other: Pose
 ) -> NextView | None:
-    """Return the shortest step after which two places differ; None where none does.
+    """Return the shortest step after which two places differ; None if there is none.
 
     Parameters
     ----------
     index : PointIndex
         Of the map's cloud.
     path : (M, 3) float64
-        Where the sensor was when the map was made, in the frame of the cloud.
+        Positions of the mapping sensor, in the frame of the cloud.
     T_one, T_other : (4, 4) float64
-        The sensor at both places, in the same frame.
+        Poses of the sensor at both places, in the same frame.
     """
     alike = _alike(index, T_one, T_other, np.eye(4))
     for metres in _DISTANCES_M:
@@ -54,7 +54,7 @@ def _is_reached(path: Float64, T: Pose) -> bool:
 
 
 def _alike(index: _native.PointIndex, T_one: Pose, T_other: Pose, step: Pose) -> float:
-    """The share of what is in view after a step that is there at the other place, too."""
+    """Return the share of points in view after a step that exist at the other place."""
     shares = [1.0]
     for T, other in ((T_one, T_other), (T_other, T_one)):
         x, y = (T @ step)[:2, 3]

@@ -1,12 +1,12 @@
-"""What is measured when a query cloud is compared with the map at a pose.
+"""Comparison of a query cloud with the map at a pose.
 
-Overlap: the share of the query that lies on the map. Visibility: how much of the map in view the
-query sees. A map point violates free space where the sensor measured something well behind it, in
-its direction and in all directions about it (G. Kim, A. Kim, "Remove, then Revert: Static Point
-Cloud Map Construction using Multiresolution Range Images", IROS 2020). Intrusion is the reverse: a
-query that occupies space through which the mapping sensor looked. Rooms that are alike differ by
-decimetres, which the share of wall points on the map's surfaces tells apart; hedges and rows of
-trees may fit elsewhere, but not on ground that rises and falls otherwise.
+Overlap is the share of the query that lies on the map. Visibility is the share of the map in view
+that the query sees. A map point violates free space if the sensor measured a surface well behind
+it, in its direction and in all directions around it (G. Kim, A. Kim, "Remove, then Revert: Static
+Point Cloud Map Construction using Multiresolution Range Images", IROS 2020). Intrusion is the
+reverse: the query occupies space that the mapping sensor measured as free. Similar rooms differ by
+decimetres, which the share of wall points on the map's surfaces separates. Hedges and rows of trees
+may fit elsewhere, but their ground does not.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from .next_view import next_view
 from .registration import ERRORS, Aligner, Registered, Target, thinned
 
 _RANKING_SAMPLE, _RANKING_PRIOR = 300, 30.0
-"""Map points compared while candidates are ranked, and the overlap's weight in such points."""
+"""Map points compared in the ranking, and the overlap's weight in such points."""
 _RANKED_FIRST = 4
 """Number of candidates in their exact order."""
 _STILL_M, _MOST_AGAIN = 1.0, 2
-"""Shift beyond which an alignment is repeated from where it ended, and how often at most."""
+"""Shift beyond which an alignment is repeated from its result, and the most repetitions."""
 _STOREY_SAMPLE = 200
 """Points of a query in the search for other storeys."""
 _CLOSE_VOXEL_M = 0.3
@@ -42,56 +42,56 @@ _CLOSE_VOXEL_M = 0.3
 
 _HERE = np.eye(4)
 _HEIGHT_PERCENTILES, _MAX_HEIGHTS = (1.0, 99.0), 4000
-"""Percentiles that bound the heights of a query, and of how many points at most."""
+"""Percentiles that bound the heights of a query, and the most points used."""
 _STOREY_MARGIN_M = 1.0
 """Map points within this above or below these heights are on the query's storey."""
 _VIEWPOINT_RADIUS_M, _VIEWPOINT_SPACING_M, _MAX_VIEWPOINTS = 12.0, 3.0, 8
-"""Radius and spacing of viewpoints on the path, and their number at most, nearest first."""
+"""Radius and spacing of viewpoints on the trajectory, and their largest number."""
 _MAX_VIEWPOINT_HEIGHT_M = 1.5
 """Height difference beyond which a viewpoint is on another storey."""
 _POINT_HALF_WIDTH_M = 0.2
-"""Half width of a point of the map's cloud: near the path its walls would have holes."""
+"""Half width of a map point: without it, walls near the trajectory would have holes."""
 _MAX_WALL_NORMAL_Z, _MIN_GROUND_NORMAL_Z = 0.3, 0.9
 _MAX_SURFACE_POINTS = 2000
-"""Points of walls or of the ground that are compared at most."""
+"""Most points of walls or of the ground compared."""
 _GROUND_TOLERANCE_M = 0.2
 _CLOSE_M, _SUPPORT_M = 1.0, 0.75
 """Radii of close surfaces: to the nearest point, and to the points of its plane."""
 
 
 class Count(NamedTuple):
-    """So many of a number of points."""
+    """A number of points out of a total."""
 
     hits: int
     of: int
 
     @property
     def share(self) -> float | None:
-        """In [0, 1]; None of nothing."""
+        """Share in [0, 1]; None of an empty total."""
         return self.hits / self.of if self.of else None
 
     def log_odds(self, prior: float) -> float:
-        """Of the share, as if ``prior`` more had been hit and as many missed."""
+        """Return the log-odds of the share, with ``prior`` more hits and misses."""
         return math.log((self.hits + prior) / (self.of - self.hits + prior))
 
 
 DOUBTFUL = Count(40, 2000)
-"""What may stand in free space where it is not measured."""
+"""Assumed occupied free space if it is not measured."""
 
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """A candidate with the overlap of the clouds where it stands.
+    """A candidate with the overlap of the clouds at its pose.
 
     Attributes
     ----------
     candidate : Candidate
     overlap : float
-        Share of the query cloud's points, up to the height that the map reaches there, that have a
-        map point within the coarse radius, in [0, 1].
+        Share of the query cloud with a map point within the coarse radius, in [0, 1]; points above
+        the map's height there are excluded.
     seen : float
-        Of a candidate of the clouds alone: the share of the map in view that the query sees, too;
-        1 where it cannot be among the first, and was not measured.
+        For candidates from clouds: share of the map in view that the query sees; 1 if not measured,
+        since the candidate cannot rank high.
     """
 
     candidate: Candidate
@@ -110,28 +110,28 @@ class RankedCandidate:
 
 
 class Observation:
-    """What is measured of a query at a pose where it was aligned with the map.
+    """Fit of a query at a pose after alignment with the map.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     inliers : int
-        Distinct query segments that agree with the pose (one map segment each): 0 until they are
+        Number of distinct query segments that agree with the pose (one map segment each); 0 until
         counted.
     overlap : float
-        Share of the query cloud's points, up to the height that the map reaches there, that have a
-        map point near them, in [0, 1].
+        Share of the query cloud with a map point nearby, in [0, 1]; points above the map's height
+        there are excluded.
     seen : Count
-        Map points in view that have a query point near them; the others are free-space violations.
+        Map points in view with a query point nearby; the others are free-space violations.
     rmse : float
-        Root mean square distance of the pairs that overlap counts [m].
+        Root mean square distance of the pairs of the overlap [m].
     covariance : (6, 6) float64 or None
-        Of rotation (rad) then translation (m), in the local frame. None where ICP did not hold.
+        Covariance of rotation [rad], then translation [m], in the local frame. None if ICP failed.
 
     flush, ground, intruding : Count
-        Wall points that are flush with the map's surfaces, of those near them; ground points on the
-        map's ground; points of what stands that stand in free space of the map. Measured on first
-        use, since they cost more: :meth:`has` says whether they were.
+        Wall points on the map's surfaces, of those near them; ground points on the map's ground;
+        structure points in free space of the map. Measured on first use, since they cost more; see
+        :meth:`has`.
     """
 
     flush: Count
@@ -152,7 +152,7 @@ class Observation:
         self._compared = compared
 
     def has(self, name: str) -> bool:
-        """Whether ``flush``, ``ground`` or ``intruding`` was measured."""
+        """Return whether ``flush``, ``ground`` or ``intruding`` was measured."""
         return name in self.__dict__
 
     def __getattr__(self, name: str) -> Count:
@@ -166,16 +166,16 @@ class Observation:
 
 
 class QueryCloud:
-    """A query cloud, made ready to be compared with a map at several poses.
+    """A query cloud, preprocessed for comparison with a map at several poses.
 
     Attributes
     ----------
     sample : (N, 3) float32
-        What overlap is computed from.
+        Points of the overlap.
     aligned : dict
-        The alignments with the map so far, by where they set out from.
+        Alignments so far, by their start.
     rough : dict
-        The rough overlaps with the map so far, by pose.
+        Rough overlaps so far, by pose.
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
@@ -189,14 +189,14 @@ class QueryCloud:
 
     @property
     def view(self) -> QueryView:
-        """What the sensor saw, direction by direction; made once."""
+        """Range image of the sensor's view; built once."""
         if self._view is None:
             self._view = QueryView(self._scene, self._config)
         return self._view
 
     @property
     def surface(self) -> _native.Surface:
-        """What is aligned; made once."""
+        """Surface for alignment; built once."""
         if self._surface is None:
             scene, radius = self._scene, self._config.icp_radius
             near = [_native.moved_crop(p, _HERE, radius) for p in (scene.structure, scene.ground)]
@@ -205,7 +205,7 @@ class QueryCloud:
 
     @property
     def close_surface(self) -> _native.Surface:
-        """What stands, as densely as a map has it; made once."""
+        """Surface of the structure, as dense as a map; built once."""
         if self._close_surface is None:
             near = _native.moved_crop(self._scene.structure, _HERE, self._config.icp_radius)
             self._close_surface = close_surface(_native.voxel_grid(near, _CLOSE_VOXEL_M))
@@ -213,28 +213,28 @@ class QueryCloud:
 
 
 class MapCloud:
-    """The map's own cloud, made ready to be compared with query clouds.
+    """The map's own cloud, preprocessed for comparison with query clouds.
 
     Parameters
     ----------
     cloud : (N, 3) float32
-        Relative to ``origin``.
+        Cloud relative to ``origin``.
     origin : (3,) float64
-        Added to the cloud it gives map coordinates.
+        Origin of the cloud in map coordinates.
     config : VerificationConfig
     separation : Separation
-        ICP that moves a pose farther has run away.
+        Largest motion of a pose by ICP.
     threads : int
-        0: all cores. No result depends on it.
+        0 is all cores; results do not depend on it.
     storeyed : bool
-        Whether the map has several storeys.
+        True if the map has several storeys.
     path : (M, 3) float64
-        Where the sensor was when the map was made, in map coordinates.
+        Positions of the mapping sensor, in map coordinates.
 
     Attributes
     ----------
     storeyed : bool
-        As given.
+        True if the map has several storeys.
     """
 
     def __init__(
@@ -256,14 +256,14 @@ class MapCloud:
         self._compared = ComparedMap(self._target, close_surface(cloud), self._path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
-        """A query cloud to compare with this one."""
+        """Preprocess a query cloud for comparison with this one."""
         return QueryCloud(scene, self._config, self._aligner)
 
     def ranked(self, candidates: Sequence[Candidate], query: QueryCloud) -> list[RankedCandidate]:
-        """The candidates with their rough overlap, in their order.
+        """Return the candidates with their rough overlap, in their order.
 
-        What is seen takes time, and only lowers what is said for them: of candidates of the clouds
-        it is measured where they may be among the first.
+        Visibility takes time, and only lowers the rank. Of candidates from clouds it is measured if
+        they may be among the first.
         """
         keys = [c.T_map_local.tobytes() for c in candidates]
         fresh = [k for k, key in enumerate(keys) if key not in query.rough]
@@ -292,18 +292,18 @@ class MapCloud:
         return ranked
 
     def _seen(self, ranked: RankedCandidate, query: QueryCloud) -> float:
-        """What ranks candidates of the clouds alone, of which many overlap where little stands."""
+        """Return the visibility of a candidate from clouds; many overlap in sparse parts."""
         config, T = self._config, self._relative(ranked.T_map_local)
         seen = self._visible(query, T, config.coarse_radius, _RANKING_SAMPLE)
         return (seen.hits + _RANKING_PRIOR * ranked.overlap) / (seen.of + _RANKING_PRIOR)
 
     def next_view(self, T_one: Pose, T_other: Pose) -> NextView | None:
-        """The shortest step that tells two poses T_map_sensor apart."""
+        """Return the shortest step that separates two poses T_map_sensor."""
         poses = self._relative(T_one), self._relative(T_other)
         return next_view(self._target.index, self._path, *poses)
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
-        """Poses around one at which the clouds roughly fit."""
+        """Return the poses around one at which the clouds roughly fit."""
         T, config = self._relative(T_map_local), self._config
         found = self._nearby.around(query.sample, T)
         few = thinned(query.sample, _STOREY_SAMPLE)
@@ -320,17 +320,17 @@ class MapCloud:
         *,
         roughly: bool = True,
     ) -> Observation:
-        """Measure a query where the clouds fit best near a pose; at the pose where they do not.
+        """Measure a query at the best alignment near a pose, or at the pose if ICP fails.
 
-        ICP sets out from the pose, and from ``start`` if it is another; ``roughly``: with some of
-        the points.
+        ICP starts from the pose, and from ``start`` if it differs; ``roughly`` uses some of the
+        points.
         """
         T = self._relative(T_map_local)
         begin = None if start is None else self._relative(start)
         return self._observed(T, self._best(T, begin, query, roughly), query)
 
     def finished(self, fit: Observation, query: QueryCloud) -> Observation:
-        """A refined candidate after ICP of all points."""
+        """Refine a candidate by ICP with all points."""
         T = self._relative(fit.T_map_local)
         found = self._registered(T, T, query, roughly=False)
         if found is None:
@@ -340,14 +340,14 @@ class MapCloud:
         return finished
 
     def mapped(self, fit: Observation, query: QueryCloud) -> float:
-        """Share of what stands in a query that has anything of the map around it, in [0, 1]."""
+        """Return the share of a query's structure with any map points around it, in [0, 1]."""
         T, radius = self._relative(fit.T_map_local)[None], self._config.overlap_radius
         none, _ = self._target.index.overlap(query.sample, T, radius, 0.0)
         most, _ = self._target.index.overlap(query.sample, T, radius, 1.0)
         return 1.0 - float(most[0] - none[0])
 
     def _observed(self, T: Pose, found: Registered | None, query: QueryCloud) -> Observation:
-        """What is measured at T, or where it was aligned to."""
+        """Measure the fit at T, or at its alignment."""
         config = self._config
         covariance: Float64 | None = None
         if found is None:
@@ -367,7 +367,7 @@ class MapCloud:
     def _best(
         self, T: Pose, start: Pose | None, query: QueryCloud, roughly: bool
     ) -> Registered | None:
-        """The better of two alignments, which goes on until it holds still."""
+        """Return the better of two alignments, repeated until it converges."""
         found = self._registered(T, T, query, roughly)
         if start is not None and not np.array_equal(start, T):
             other = self._registered(start, T, query, roughly)
@@ -385,7 +385,7 @@ class MapCloud:
     def _registered(
         self, start: Pose, T: Pose, query: QueryCloud, roughly: bool
     ) -> Registered | None:
-        """Where the clouds fit best; None where they do not, or ICP has run away from T."""
+        """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._config.refine:
             return None
         key = start.tobytes() + bytes([roughly])
@@ -409,16 +409,16 @@ class MapCloud:
 
 @dataclass(frozen=True)
 class ComparedMap:
-    """What a query is compared with.
+    """Map side of the comparison.
 
     Attributes
     ----------
     target : Target
-        The map's cloud.
+        Cloud of the map.
     close : Surface
-        Of the same, of :func:`close_surface`.
+        Its surface, from :func:`close_surface`.
     path : (M, 3) float64
-        Where the sensor was when the map was made, in the frame of the cloud.
+        Positions of the mapping sensor, in the frame of the cloud.
     """
 
     target: Target
@@ -434,7 +434,7 @@ class Compared:
     compared : ComparedMap
     query : QueryCloud
     T : (4, 4) float64
-        Takes the query to the frame of the map's cloud.
+        Transforms the query to the frame of the map's cloud.
     config : VerificationConfig
     """
 
@@ -448,14 +448,14 @@ class Compared:
         return ground_count(self._map.target.surface, self._query.surface, self._T)
 
     def flush(self) -> Count:
-        """Count the wall points that are flush with the map's surfaces, of those near them."""
+        """Count the wall points on the map's surfaces, of those near them."""
         source, offset = self._query.close_surface, self._config.flush_offset
         return flush_count(self._map.close, source, self._T, offset)
 
     def intruding(self) -> Count:
-        """Count what stands in free space of the map, of what is known to stand or not to.
+        """Count the structure points in free space of the map, of those with known occupancy.
 
-        Where the map has no measured free space, as many as in doubt.
+        Without measured free space it is :data:`DOUBTFUL`.
         """
         if not len(self._map.path):
             return DOUBTFUL
@@ -464,12 +464,12 @@ class Compared:
 
 
 class QueryView:
-    """What a sensor saw, as a range image about the local frame's origin.
+    """Range image of a sensor's view, around the local frame's origin.
 
     Attributes
     ----------
     low, high : float
-        Nearly all that it saw is between these heights, metres.
+        Heights that bound nearly all points [m].
     """
 
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
@@ -495,24 +495,23 @@ def visible_counts(
     sample: int,
     storeyed: bool,
 ) -> Count:
-    """Count the map points that the query sees, too, and those that were compared.
+    """Count the map points that the query sees, and those compared.
 
     Parameters
     ----------
     index : PointIndex
-        Of the map's cloud.
+        Index of the map's cloud.
     view : QueryView
     T : (4, 4) float64
-        From the local frame to that of the cloud.
+        Transform from the local frame to that of the cloud.
     radius : float
         A map point with a query point within this is seen [m].
     range_m : float
         Map points within this are compared [m].
     sample : int
-        Number of them at most.
+        Most points compared.
     storeyed : bool
-        Whether the map has several storeys. Points of other storeys than the query's cannot be
-        seen, and are left out of the sample.
+        True if the map has several storeys; points of other storeys are then excluded.
     """
     x, y = float(T[0, 3]), float(T[1, 3])
     low, high = (
@@ -535,7 +534,7 @@ def _heights(scene: Segmentation) -> tuple[float, float]:
 
 
 def viewpoints(path: Float64, at: Float64) -> Float64:
-    """Positions of a path, (M, 3), from which free space about a position is known, (V, 3)."""
+    """Return the trajectory positions, (V, 3) of (M, 3), with known free space around ``at``."""
     off = path - at
     near = (np.hypot(off[:, 0], off[:, 1]) < _VIEWPOINT_RADIUS_M) & (
         np.abs(off[:, 2]) < _MAX_VIEWPOINT_HEIGHT_M
@@ -557,13 +556,13 @@ def intruding_count(
     Parameters
     ----------
     index : PointIndex
-        Of the map's cloud.
+        Index of the map's cloud.
     sample : (N, 3) float32
-        What stands, about the sensor.
+        Structure points around the sensor.
     T : (4, 4) float64
-        Takes it to the frame of the map's cloud.
+        Transforms them to the frame of the map's cloud.
     path : (M, 3) float64
-        Where the sensor was when the map was made, in the same frame.
+        Positions of the mapping sensor, in the same frame.
     config : VerificationConfig
     """
     used, intruding = index.intrusion(
@@ -580,23 +579,23 @@ def intruding_count(
 
 
 def close_surface(points: Float32) -> _native.Surface:
-    """A cloud, (N, 3), as densely as a map has it: its planes are known to centimetres."""
+    """Return the surface of a cloud (N, 3) as dense as a map; its planes are accurate to cm."""
     return _native.Surface(np.ascontiguousarray(points), _CLOSE_M, _SUPPORT_M)
 
 
 def flush_count(target: _native.Surface, source: _native.Surface, T: Pose, offset: float) -> Count:
     """Count a query's wall points on a surface of the map, of those near one.
 
-    What has no map point near it may be higher than the map reaches, and counts for the overlap.
+    Points without a map point nearby count in the overlap instead: they may be above the map.
 
     Parameters
     ----------
     target, source : Surface
-        Of :func:`close_surface`, of the map and of the query.
+        Surfaces of the map and of the query, from :func:`close_surface`.
     T : (4, 4) float64
-        Takes the source to the target.
+        Transforms the source to the target.
     offset : float
-        Distance from the map's plane below which a point is on it [m].
+        Largest distance of a point from its plane [m].
     """
     wall = -1.0, _MAX_WALL_NORMAL_Z
     return Count(*target.on_plane(source, T, *wall, offset, _MAX_SURFACE_POINTS))
@@ -608,9 +607,9 @@ def ground_count(target: _native.Surface, source: _native.Surface, T: Pose) -> C
     Parameters
     ----------
     target, source : Surface
-        Of the map and of the query.
+        Surfaces of the map and of the query.
     T : (4, 4) float64
-        Takes the source to the target.
+        Transforms the source to the target.
     """
     level = _MIN_GROUND_NORMAL_Z, 2.0
     return Count(*target.on_plane(source, T, *level, _GROUND_TOLERANCE_M, _MAX_SURFACE_POINTS))

@@ -1,4 +1,4 @@
-"""Places with log-ratios -> their probabilities, and what is concluded from them."""
+"""Places with log-ratios -> their probabilities, and the decision."""
 
 from __future__ import annotations
 
@@ -14,28 +14,27 @@ from ..types import Float64, Pose
 
 @dataclass(frozen=True)
 class ScoredPose:
-    """A pose that a query may have been taken at.
+    """A possible pose of a query.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     log_ratio : float
-        Natural logarithm of how much likelier the query is from here than from none of the places.
+        Log-likelihood ratio of the query from here against none of the places.
     inliers : int
-        Distinct query segments that agree with the pose.
+        Number of distinct query segments that agree with the pose.
     overlap : float
         Share of the query that lies on the map, in [0, 1].
     seen : float or None
-        Share of the map in view that the query sees, too; None where none is in view.
+        Share of the map in view that the query sees; None if nothing is in view.
     rmse : float or None
         Residual of the alignment [m].
     covariance : (6, 6) float64 or None
-        Of rotation (rad) then translation (m), in the local frame.
+        Covariance of rotation [rad], then translation [m], in the local frame.
     features : tuple of float
-        What the log-ratio was weighed of.
+        Features of the log-ratio.
     known_ratio : float
-        The log-ratio of a pose that is known before: what lies off the map does not speak against
-        it. 0 where it is not asked for.
+        Log-ratio of a previously known pose: points off the map do not lower it. 0 if unused.
     """
 
     T_map_local: Pose
@@ -49,21 +48,22 @@ class ScoredPose:
     known_ratio: float = 0.0
 
     def __str__(self) -> str:
-        return f"overlap {self.overlap:.2f} and {self.inliers} inliers"
+        plural = "" if self.inliers == 1 else "s"
+        return f"overlap {self.overlap:.2f} and {self.inliers} inlier{plural}"
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The distinct places that a query may be from, and how likely each is.
+    """The distinct possible places of a query, and their probabilities.
 
     Attributes
     ----------
     places : tuple of ScoredPose
-        The likeliest first.
+        Places, the most probable first.
     probabilities : tuple of float
-        Of each of them; they and ``not_in_map`` add up to 1.
+        Probability of each; with ``not_in_map`` they sum to 1.
     not_in_map : float
-        Probability that it is from none of them, in [0, 1].
+        Probability of none of them, in [0, 1].
     """
 
     places: tuple[ScoredPose, ...] = ()
@@ -72,9 +72,9 @@ class Posterior:
 
     @classmethod
     def of(cls, places: Sequence[ScoredPose], lapse: float = 0.0) -> Posterior:
-        """The softmax over places and "none of them", whose log-ratio is 0.
+        """Compute the softmax over places and "none of them", whose log-ratio is 0.
 
-        ``lapse`` is the probability that the log-ratios themselves mislead: it goes to "none".
+        ``lapse`` is the probability of misleading log-ratios: it is added to "none".
         """
         ordered = sorted(places, key=lambda place: -place.log_ratio)
         log_ratios = np.array([*(place.log_ratio for place in ordered), 0.0])
@@ -85,20 +85,20 @@ class Posterior:
 
     @property
     def best(self) -> ScoredPose | None:
-        """The likeliest place."""
+        """The most probable place."""
         return self.places[0] if self.places else None
 
     @property
     def confidence(self) -> float:
-        """The probability of the likeliest place, in [0, 1]."""
+        """The probability of the most probable place, in [0, 1]."""
         return self.probabilities[0] if self.places else 0.0
 
     def repeats(self, min_confidence: float) -> bool:
-        """Whether the second place alone could keep the likeliest from being believed."""
+        """Return whether the second place alone could prevent acceptance."""
         return len(self.places) > 1 and self.probabilities[1] > 1.0 - min_confidence
 
     def reason(self, min_confidence: float) -> Reason | None:
-        """Why the likeliest place is not believed; None where it is."""
+        """Return why the most probable place is rejected; None if it is accepted."""
         if self.confidence >= min_confidence:
             return None
         if 1.0 - self.not_in_map >= min_confidence:
@@ -108,7 +108,7 @@ class Posterior:
         return Reason.TOO_UNCERTAIN
 
     def message(self, min_confidence: float) -> str:
-        """The reason as a sentence with its figures; "" where the likeliest place is believed."""
+        """Return the reason as a sentence with its figures; "" if the place is accepted."""
         reason = self.reason(min_confidence)
         if reason is None:
             return ""
@@ -117,18 +117,18 @@ class Posterior:
             return str(Reason.NO_CONSISTENT_MATCHES)
         if reason is Reason.AMBIGUOUS:
             return ambiguous_with(self.places[1].T_map_local)
-        elsewhere = f", elsewhere {self.places[1]}" if len(self.places) > 1 else ""
+        runner_up = f", runner-up {self.places[1]}" if len(self.places) > 1 else ""
         if reason is Reason.NOT_IN_MAP:
-            return f"{reason} (probability {floored(self.not_in_map)}): {best}{elsewhere}"
-        return f"{reason.below(self.confidence, min_confidence)}: {best}{elsewhere}"
+            return f"{reason} (probability {floored(self.not_in_map)}): {best}{runner_up}"
+        return f"{reason.below(self.confidence, min_confidence)}: {best}{runner_up}"
 
 
 def log_odds(probability: float) -> float:
-    """Natural logarithm of the odds, finite."""
+    """Return the log-odds, finite."""
     p = min(max(probability, 1e-12), 1.0 - 1e-12)
     return math.log(p / (1.0 - p))
 
 
 def floored(probability: float) -> str:
-    """A probability with two digits, never rounded up to 1."""
+    """Format a probability with two digits, never rounded up to 1."""
     return f"{math.floor(100 * probability) / 100:.2f}"

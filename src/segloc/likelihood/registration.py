@@ -1,4 +1,4 @@
-"""Two clouds and a first guess -> where they fit best, and how well they overlap there."""
+"""Two clouds and an initial guess -> their alignment and overlap."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ..types import Float32, Float64, Pose
 MIN_POINTS = 20
 _ROUGHLY = {"max_iterations": 10, "max_final": 0}
 COVARIANCE_SCALE = 20.0
-"""Neighbouring correspondences err together, so the curvature of the cost alone claims far too
-much. With this factor the normalised squared error is about 1 on simulated towns."""
+"""Errors of neighbouring correspondences are correlated, so the curvature of the cost alone is
+overconfident. This factor gives a normalised squared error of about 1 on simulated towns."""
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Widens the covariance of an alignment: both blocks are scaled, and no error is below a floor.
+    """Widens the covariance of an alignment: both blocks are scaled, with lower bounds.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class ErrorModel:
     vertical_m: float
 
     def widened(self, covariance: Float64) -> Float64:
-        """The (6, 6) covariance of rotation (rad), then translation (m), in a frame with z up."""
+        """Return the widened (6, 6) covariance of rotation [rad], then translation [m], z up."""
         wide: Float64 = covariance * np.outer(self._scales, self._scales) + self._floor
         return wide
 
     def narrowed(self, covariance: Float64) -> Float64:
-        """What :meth:`widened` was given."""
+        """Invert :meth:`widened`."""
         narrow: Float64 = (covariance - self._floor) / np.outer(self._scales, self._scales)
         return narrow
 
@@ -77,13 +77,13 @@ alignment alone 44 % and 66 %, 24 % and 47 %."""
 
 @dataclass(frozen=True)
 class Aligned:
-    """How one cloud was aligned with another.
+    """Alignment of one cloud with another.
 
     Attributes
     ----------
     T_target_source : (4, 4) float64
     covariance : (6, 6) float64
-        Of rotation and translation, in the source's frame.
+        Covariance of rotation and translation, in the source's frame.
     """
 
     T_target_source: Pose
@@ -92,16 +92,16 @@ class Aligned:
 
 @dataclass(frozen=True)
 class Registered(Aligned):
-    """How one cloud lies on another after alignment.
+    """Alignment of one cloud with another, with their overlap.
 
     Attributes
     ----------
     overlap : float
         Share of the source's sample that has a point of the target near it, in [0, 1].
     rmse : float
-        Root mean square distance of those pairs, metres.
+        Root mean square distance of those pairs [m].
     shift_m : float
-        How far the alignment moved the source.
+        Shift of the source by the alignment.
     """
 
     overlap: float
@@ -110,14 +110,14 @@ class Registered(Aligned):
 
 
 class Source(Protocol):
-    """A cloud to be aligned with others.
+    """A source cloud of alignments.
 
     Attributes
     ----------
     surface : Surface
-        Of :meth:`Aligner.surface`.
+        From :meth:`Aligner.surface`.
     sample : (N, 3) float32
-        The points that overlap is computed from.
+        Points of the overlap.
     """
 
     @property
@@ -128,16 +128,16 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Target:
-    """A cloud that others are aligned with.
+    """A target cloud of alignments.
 
     Attributes
     ----------
     surface : Surface
-        Of :meth:`Aligner.surface`.
+        From :meth:`Aligner.surface`.
     index : PointIndex
-        Of the points that overlap is computed with.
+        Index of the points of the overlap.
     unmapped_overlap : float
-        What a point counts that lies where the cloud has nothing, not even ground.
+        Score of a point in unmapped space, without even ground.
     """
 
     surface: _native.Surface
@@ -145,7 +145,7 @@ class Target:
     unmapped_overlap: float = 0.0
 
     def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> tuple[float, float]:
-        """Overlap of a sample (N, 3) within a radius, and the pairs' RMSE in metres."""
+        """Return the overlap of a sample (N, 3) within a radius, and the RMSE of its pairs [m]."""
         overlap, rmse = self.index.overlap(
             sample, T_target_source[None], radius, self.unmapped_overlap
         )
@@ -158,11 +158,11 @@ class Aligner:
     Parameters
     ----------
     voxel : float
-        Clouds are thinned to this, metres.
+        Voxel size of clouds [m].
     max_correspondence : float
-        Maximum correspondence distance, metres.
+        Maximum correspondence distance [m].
     threads : int
-        0: all cores. The result does not depend on it.
+        0 is all cores; results do not depend on it.
     """
 
     def __init__(self, voxel: float, max_correspondence: float, threads: int = 0) -> None:
@@ -170,7 +170,7 @@ class Aligner:
         self._max_correspondence = max_correspondence
 
     def surface(self, points: Float32) -> _native.Surface:
-        """A cloud, (N, 3), made ready to be aligned or aligned with, any number of times."""
+        """Preprocess a cloud (N, 3) for alignment; reusable."""
         thinned = _native.voxel_grid(np.ascontiguousarray(points), self._voxel)
         return _native.Surface(thinned, self._max_correspondence, 2.0 * self._voxel)
 
@@ -182,9 +182,9 @@ class Aligner:
         *,
         roughly: bool = False,
     ) -> Aligned | None:
-        """Align from a first guess; None where it is not finite, or the clouds share too little.
+        """Align from an initial guess; None if it is not finite, or the clouds overlap too little.
 
-        ``roughly``: with some of the source's points, at about a third of the time.
+        ``roughly`` uses some of the source's points, in about a third of the time.
         """
         if not np.isfinite(T_target_source).all():
             return None
@@ -211,7 +211,7 @@ class Aligner:
         *,
         roughly: bool = False,
     ) -> Registered | None:
-        """Align from a first guess and score the overlap within a radius; None as for `align`."""
+        """Align from an initial guess and score the overlap; None as for `align`."""
         aligned = self.align(target.surface, source.surface, T_target_source, roughly=roughly)
         if aligned is None:
             return None
@@ -223,6 +223,6 @@ class Aligner:
 
 
 def thinned(points: Float32, count: int) -> Float32:
-    """At most ``count`` of the points, evenly spread over their (spatially sorted) order."""
+    """Return at most ``count`` of the spatially sorted points, evenly spread."""
     step = max(1, -(-len(points) // count))
     return np.ascontiguousarray(points[::step])

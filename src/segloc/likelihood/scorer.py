@@ -1,4 +1,4 @@
-"""Candidate poses -> the distinct places at which a query was measured -> their posterior."""
+"""Candidate poses -> fits at distinct places -> posterior."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .observation import DOUBTFUL, Count, MapCloud, Observation, QueryCloud, Ran
 from .posterior import Posterior, ScoredPose, log_odds
 
 _SLACK = 6.0
-"""Log-ratio that aligning with all points may add."""
+"""Largest gain of log-ratio by alignment with all points."""
 
 Inliers = Callable[[Pose], int]
-"""How many distinct query segments agree with a pose T_map_local."""
+"""Counts the distinct query segments that agree with a pose T_map_local."""
 Allowed = Callable[[Pose], bool]
-"""Whether the sensor may be at a pose T_map_local at all."""
+"""Tests whether a prior permits a pose T_map_local."""
 
 
 class Likelihood:
@@ -32,18 +32,18 @@ class Likelihood:
     Parameters
     ----------
     cloud : (N, 3) float32
-        The map's voxelised cloud, relative to ``origin``.
+        Voxelised cloud of the map, relative to ``origin``.
     origin : (3,) float64
-        Added to the cloud it gives map coordinates.
+        Origin of the cloud in map coordinates.
     config : VerificationConfig, optional
     separation : Separation, optional
-        Poses closer than this are one.
+        Separation of distinct places.
     threads : int
-        0: all cores. No result depends on it.
+        0 is all cores; results do not depend on it.
     storeyed : bool
-        Whether the map has several storeys.
+        True if the map has several storeys.
     path : (M, 3) float64, optional
-        Where the sensor was when the map was made, in map coordinates.
+        Positions of the mapping sensor, in map coordinates.
 
     Attributes
     ----------
@@ -66,32 +66,32 @@ class Likelihood:
         self.cloud = MapCloud(cloud, origin, self.config, self.separation, threads, storeyed, path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
-        """A query's cloud, made ready to be compared with the map any number of times."""
+        """Preprocess a query's cloud for comparison with the map; reusable."""
         return self.cloud.query(scene)
 
     def scorer(self, query: QueryCloud, allowed: Allowed = lambda _: True) -> Scorer:
-        """What measures one query; places that are not ``allowed`` are none."""
+        """Return the scorer of one query; places that are not ``allowed`` are ignored."""
         return Scorer(self, query, allowed)
 
     def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
-        """Align a query at a known pose and measure it there: no search, no segments, no rivals."""
+        """Align and measure a query at a known pose, without search, segments and runner-up."""
         fit = self.cloud.refined(T_map_local, query, roughly=False)
         fit.intruding  # noqa: B018  (measured on first use)
         found = self.scored(fit, self.model.features(fit, [], 0))
-        # What lies off the map does not speak against a pose that is known.
+        # Points off the map do not lower the ratio of a known pose.
         mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
         off_map = min(0.0, math.log1p(-mapped) + self.model.consistency(fit))
         known_ratio = float(np.logaddexp(math.log(mapped) + found.log_ratio, off_map))
         return replace(found, known_ratio=known_ratio)
 
     def segments_decide(self, inliers: int, elsewhere: int) -> bool:
-        """Whether so many more segments agree on a pose than on another that it would be believed
-        against a place that fits as well and that segments did not name."""
+        """Return whether the inliers of a pose, against those elsewhere, suffice to accept it over
+        a place without segment matches that fits as well."""
         margin = self.model.margin(inliers, elsewhere) - self.model.unseen
         return margin >= log_odds(self.config.min_confidence)
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
-        """What was measured at a pose, with its log-ratio."""
+        """Return the fit at a pose with its log-ratio."""
         return ScoredPose(
             T_map_local=fit.T_map_local,
             log_ratio=self.model.log_ratio(features),
@@ -105,12 +105,12 @@ class Likelihood:
 
 
 class Scorer:
-    """Measures one query at the places that proposers name, each at most once.
+    """Measures one query at proposed places, each at most once.
 
     Attributes
     ----------
     fits : list of Observation
-        The distinct places that were measured.
+        Fits at the distinct places measured.
     """
 
     def __init__(self, likelihood: Likelihood, query: QueryCloud, allowed: Allowed) -> None:
@@ -123,7 +123,7 @@ class Scorer:
         self.fits: list[Observation] = []
 
     def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
-        """Whether segments decide for one of the candidates."""
+        """Return whether segment matches decide for one of the candidates."""
         if not candidates:
             return False
         best = max(candidates, key=lambda c: c.inliers)
@@ -135,8 +135,8 @@ class Scorer:
     ) -> Posterior:
         """Measure the most promising candidates.
 
-        Aligning with some of the points is for a few; with all of them, and the search of what
-        stands in free space, only for those that may be believed or be their rivals.
+        A few candidates are aligned with some of the points. Alignment with all points, and the
+        measurement of free space, are only for those that may be accepted or be the runner-up.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class Scorer:
         inliers : callable
             Counts the segments that agree with a pose.
         thorough : bool
-            Measure more of them, and everything.
+            Measure more candidates, and all features.
         """
         self._candidates = candidates
         ranked = self._map.ranked(candidates, self._query) if candidates else []
@@ -171,7 +171,7 @@ class Scorer:
         return self.posterior()
 
     def posterior(self) -> Posterior:
-        """The probabilities of all that was measured."""
+        """Return the posterior of all fits."""
         rivals = FREE if self._finished else DOUBTFUL
         places = [
             self._scored(fit, DOUBTFUL if fit in self._finished else rivals) for fit in self.fits
@@ -179,9 +179,9 @@ class Scorer:
         return Posterior.of(places, self._model.lapse)
 
     def _is_believed_anyway(self, fit: Observation) -> bool:
-        """Whether a place is believed whatever stands in free space there, and nothing elsewhere.
+        """Return whether a place is accepted even with all its free space occupied, none elsewhere.
 
-        Measuring what stands there takes as long as several alignments.
+        Measuring free space takes as long as several alignments.
         """
         place = self._scored(fit, OBSTRUCTED)
         others = [self._scored(other, FREE) for other in self.fits if other is not fit]
@@ -189,10 +189,9 @@ class Scorer:
         return posterior.best is place and posterior.confidence >= self._config.min_confidence
 
     def _undecided(self, thorough: bool) -> Observation | None:
-        """The likeliest place that is not measured wholly, if that could change what is believed.
+        """Return the most probable place whose unmeasured features could change the result.
 
-        It could where the place, if nothing stood in free space there, might be believed, or be a
-        rival of the best.
+        With its free space unoccupied, such a place might be accepted, or be the runner-up.
         """
         known, left = -math.inf, list[tuple[float, Observation]]()
         for fit in self.fits:
@@ -214,7 +213,7 @@ class Scorer:
         return fit
 
     def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> ScoredPose:
-        """Score a pose as if another place fitted as well as any may by what is roughly known."""
+        """Score a pose against the best that another place can be by rough overlaps."""
         apart, T = self._apart, fit.T_map_local
         others = [c for c in ranked if apart(c.T_map_local, T)]
         rival = copy(fit)
@@ -225,7 +224,7 @@ class Scorer:
     def _promising(
         self, ranked: Sequence[RankedCandidate], thorough: bool, decisive: bool
     ) -> list[tuple[Pose | None, Pose]]:
-        """Poses to be measured, each with a better start, if there is one."""
+        """Return the poses to measure, each with a better start, if there is one."""
         if not ranked:
             return []
         most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
@@ -251,13 +250,13 @@ class Scorer:
         return all(self._apart(T, other.T_map_local) for other in chosen)
 
     def _take(self, fit: Observation) -> None:
-        """Keep a place, once: of two fits of one place the better."""
+        """Keep the better of two fits at one place."""
         same = [f for f in self.fits if not self._apart(f.T_map_local, fit.T_map_local)]
         if all(fit.overlap > f.overlap for f in same):
             self.fits = [f for f in self.fits if f not in same] + [fit]
 
     def _most_elsewhere(self, candidates: Sequence[Candidate], T: Pose) -> int:
-        """The most inliers of any candidate at another place."""
+        """Return the most inliers of any candidate at another place."""
         by_inliers = sorted(candidates, key=lambda c: -c.inliers)
         return next((c.inliers for c in by_inliers if self._apart(c.T_map_local, T)), 0)
 
@@ -269,15 +268,15 @@ class Scorer:
 
 
 def by_segments(candidate: RankedCandidate) -> float:
-    """Key to sort by: the segments that agree, and the overlap there."""
+    """Sort key: inliers times overlap."""
     return -candidate.inliers * candidate.overlap
 
 
 def by_clouds(candidate: RankedCandidate) -> float:
-    """Key to sort by: the overlap, and how much of the map in view is seen."""
+    """Sort key: overlap times the seen share of the map in view."""
     return -candidate.overlap * candidate.seen
 
 
 def by_overlap(candidate: RankedCandidate) -> float:
-    """Key to sort by: the overlap alone."""
+    """Sort key: overlap."""
     return -candidate.overlap

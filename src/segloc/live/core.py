@@ -38,7 +38,7 @@ class StateReason(Explained):
     NO_AGREEMENT = "no agreement yet", "no place is probable enough yet", "drive some metres"
     SEVERAL_PLACES = "several places fit", "places look alike", "drive some metres"
     UNSUPPORTED = (
-        "nothing supports the track since {metres:.0f} m",
+        "no view supports the track for {metres:.0f} m",
         "the robot left the map, or the place has changed",
         "drive back into the map",
     )
@@ -67,7 +67,7 @@ class StateReason(Explained):
         "clocks differ, or messages are late",
         "compare stamps",
     )
-    REJECTED = "scan rejected: {error}", "the scan is invalid, as the error says", "fix the driver"
+    REJECTED = "scan rejected: {error}", "the scan is invalid; see the error", "fix the driver"
     NO_SCAN = (
         "no scan for {seconds:.1f} s",
         "scans are missing",
@@ -112,8 +112,8 @@ class LiveCore:
     localizer : Localizer
     config : LiveConfig, optional
     T_base_sensor : (4, 4) array, optional
-        How the sensor is mounted on the base that odometry is of; by default as
-        ``local_cloud.mount`` says, and else the sensor is the base.
+        Mount of the sensor on the base of the odometry; by default ``local_cloud.mount``, or else
+        the sensor is the base.
     lidar_odometry : bool
         Compute the odometry from the scans, by KISS-ICP; none is to be added then.
     keeper : PoseKeeper, optional
@@ -251,7 +251,9 @@ class LiveCore:
             If it cannot be made.
         """
         near = near or pending.near
-        return self.tracker.ask(pending.request, self.config.deadline_ms, near=near, heard=callback)
+        return self.tracker.ask(
+            pending.request, self.config.deadline_ms, near=near, callback=callback
+        )
 
     def answer(self, pending: PendingQuery, view: View | None) -> State:
         """Apply the result of a query; None if it could not be made."""
@@ -266,7 +268,7 @@ class LiveCore:
         self._asked_at, self._due = -math.inf, None
         return self._report(self.state.stamp)
 
-    def doubt(self, why: str) -> State:
+    def report_lost_motion(self, why: str) -> State:
         """Report that the odometry has lost an unknown motion without a jump of its poses."""
         return self._jumped(Jump(np.eye(4), why))[0]
 
@@ -285,7 +287,7 @@ class LiveCore:
         for time, T in self._lidar_odometry.add(scan, stamp):
             states += self.add_odometry(time, T)
         if self._lidar_odometry.losses > lost:
-            states.append(self.doubt(self._lidar_odometry.fault))
+            states.append(self.report_lost_motion(self._lidar_odometry.fault))
         return states
 
     def _release(self, now: float) -> list[State]:
@@ -344,7 +346,7 @@ class LiveCore:
         self.dropped += len(self._waiting)
         self._waiting.clear()
         self._due = None
-        self.tracker.carry(jump.T_new_old, jump.text)
+        self.tracker.follow_jump(jump.T_new_old, jump.text)
         return [self._report(self._odometry.newest)]
 
     def _set_clock(self, now: float) -> None:
@@ -399,6 +401,25 @@ class LiveCore:
         least = np.repeat([math.radians(self.config.least_deg), self.config.least_m], 3) ** 2
         grown = geometry.carried_covariance(covariance, self.T_base_sensor) + np.diag(least)
         return np.asarray((grown + grown.T) / 2.0, dtype=np.float64)
+
+
+RECORD = {
+    "index": "number of the scan",
+    "stamp": "time of the scan [s]; null if the recording has none",
+    "state": "`lost`, `candidate`, `localized` or `degraded`",
+    "reason": "why it is not localized; empty when localized",
+    "T_map_odom": "4 rows of 4 numbers, or null; the odometry's frame begins at the first scan, "
+    "level, and heads along x",
+    "T_map_base": "4 rows of 4 numbers, or null; the base is the sensor",
+    "covariance": "6 rows of 6 numbers, or null: covariance of `T_map_base`, of a small rotation "
+    "[rad], then a translation [m], both in the base's frame",
+    "confidence": "probability of the most probable place, 0 to 1",
+    "views": "independent views that support it",
+    "travelled_m": "distance by the odometry",
+    "answered": "clock at the scan of the query that this state answers, or null",
+    "latency_ms": "time from the arrival of that scan to this state",
+}
+"""Keys of a line of ``states.jsonl`` and their meaning."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A pose kept over a power cycle, and checked before it is believed again."""
+"""A pose kept over a power cycle, and verified before it is used again."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class PoseKeeper:
     def keep(
         self, stamp: float, T_map_base: Pose, T_odom_base: Pose, covariance: Float64 | None
     ) -> None:
-        """Take a pose that is believed; at intervals it is written."""
+        """Keep an accepted pose; at intervals it is written."""
         if (expected := self._expected) is not None:
             T = expected.predicted(stamp, T_odom_base)
             off_m = float(np.linalg.norm(T[:3, 3] - T_map_base[:3, 3]))

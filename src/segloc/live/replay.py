@@ -22,6 +22,27 @@ from .localizer import LiveLocalizer
 NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
 """Interval of scans without stamps, and speed limit for it."""
 
+SUMMARY = {
+    "recording": "argument",
+    "map": "argument",
+    "rate": "argument",
+    "scans": "scans used",
+    "dropped": "scans not used",
+    "travelled_m": "distance by the odometry",
+    "localized_share": "share of the used scans that are localized",
+    "states": "scans per state",
+    "first_fix_m": "distance travelled until the first fix; null if none",
+    "latency_ms": "`p50` and `p99` until a scan was used",
+    "query_ms": "`p50` and `p99` until its query or check was answered",
+    "queries": "queries and checks",
+    "false_m": "with `--truth`: distance travelled with a pose outside the tolerance, localized or "
+    "degraded; else null",
+    "false_localized_m": "with `--truth`: localized part of it",
+    "translation_error_m": "with `--truth`: `median` and `p95` over the localized scans",
+    "rotation_error_deg": "with `--truth`: the same in degrees",
+}
+"""Keys of ``summary.json`` and their meaning."""
+
 StateCallback = Callable[[int, State], None]
 Progress = Callable[[int, int], None]
 _SHARES = (50, 99)
@@ -269,7 +290,7 @@ def summary(
     kinds = [state.status for state in states]
     steps = np.diff([state.travelled_m for state in states], prepend=0.0)
     fixes = [k for k, kind in enumerate(kinds) if kind is Status.LOCALIZED]
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "scans": replay.scans,
         "dropped": replay.dropped,
         "travelled_m": round(float(steps.sum()), 3),
@@ -282,11 +303,11 @@ def summary(
         "false_m": None,
     }
     if truths is None:
-        return told
+        return facts
     metres, degrees = pose_errors(replay, truths)
     false = (metres > tolerance_m) | (degrees > tolerance_deg)
     sure = np.array([kind is Status.LOCALIZED for kind in kinds], dtype=bool)
-    return told | {
+    return facts | {
         "false_m": round(float(steps[false].sum()), 3),
         "false_localized_m": round(float(steps[false & sure].sum()), 3),
         "translation_error_m": _spread(metres[sure]),

@@ -25,18 +25,18 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
     if not candidates:
         return loops
     first, second, agree = _compared(chain, [loops[k] for k in candidates], config)
-    believed = np.ones(len(candidates), dtype=bool)
+    accepted = np.ones(len(candidates), dtype=bool)
     reasons = [""] * len(candidates)
     while True:  # a rejected loop supports no other
-        voice = believed[second]
+        voice = accepted[second]
         pro = np.bincount(first[voice & agree], minlength=len(candidates))
         contra = np.bincount(first[voice & ~agree], minlength=len(candidates))
-        dropped = np.flatnonzero(believed & ((pro < config.min_support) | (contra > pro)))
+        dropped = np.flatnonzero(accepted & ((pro < config.min_support) | (contra > pro)))
         if not len(dropped):
             break
         for i in dropped:
             reasons[i] = f"{pro[i]} neighbouring loops agree and {contra[i]} do not"
-        believed[dropped] = False
+        accepted[dropped] = False
     result = list(loops)
     for k, reason in zip(candidates, reasons, strict=True):
         result[k] = replace(loops[k], reason=reason)

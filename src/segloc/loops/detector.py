@@ -235,14 +235,14 @@ class LoopDetector:
         here = self._travelled
         reach = 2.0 * self.settings.support_m
         self._found = [f for f in self._found if here - self._nodes[f[0].source].travelled <= reach]
-        told = []
+        closures = []
         for loop, (_, confidence) in zip(self._agreeing(), self._found, strict=True):
             key = (loop.target, loop.source)
             if loop.accepted and key not in self._told:
                 self._told.add(key)
-                told.append(self._closure(loop, confidence))
+                closures.append(self._closure(loop, confidence))
         self._told &= {(loop.target, loop.source) for loop, _ in self._found}
-        return told
+        return closures
 
     def _agreeing(self) -> list[Loop]:
         """Return recent loops, with a reason for those that too few agree with."""

@@ -33,6 +33,22 @@ _COLUMNS = [
     "after_deg",
     "weight",
 ]
+RECORD = {
+    "target_session": "number of the target session, from 0",
+    "target_scan": "number of the target scan",
+    "source_session": "number of the source session, from 0",
+    "source_scan": "number of the source scan",
+    "T_target_source": "4 rows of 4 numbers: sensor at the source scan to that at the target scan",
+    "covariance": "6 rows of 6 numbers: of a small rotation [rad], then a translation [m], in the "
+    "source sensor's frame",
+    "kind": "`found` by localization, or `dense`: neighbours after the first optimisation",
+    "inliers": "distinct segments that agree with the pose; 0 for dense loops",
+    "shared": "overlap of the clouds, 0 to 1",
+    "accepted": "true or false",
+    "reason": "why it is rejected; empty if accepted",
+    "weight": "weight in the last optimisation",
+}
+"""Keys of a line of ``loops.jsonl`` and their meaning."""
 _WIDTH_IN, _HEIGHT_IN, _DPI = 12.0, 5.5, 110
 _ACROSS = "loop across sessions"
 _WITHIN = "loop within a session"
@@ -105,9 +121,9 @@ def _size(residual: Float64) -> tuple[float, float]:
 
 def summary(alignment: Alignment) -> dict[str, Any]:
     """Return counts and residuals as JSON values."""
-    accepted = [loop for loop in alignment.loops if loop.accepted]
+    loops = [loop for loop in alignment.loops if loop.accepted]
     across = alignment.loop_sessions[:, 0] != alignment.loop_sessions[:, 1]
-    believed = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
+    accepted = np.array([loop.accepted for loop in alignment.loops], dtype=bool)
     return {
         "sessions": [
             {"name": name, "scans": len(poses), "file": f"session_{k}.tum", "component": c}
@@ -117,14 +133,14 @@ def summary(alignment: Alignment) -> dict[str, Any]:
         ],
         "components": alignment.components,
         "loops": {
-            "accepted": int(believed.sum()),
-            "accepted_across_sessions": int((believed & across).sum()),
-            "rejected": int((~believed).sum()),
-            "found": sum(loop.kind == "found" for loop in accepted),
-            "dense": sum(loop.kind == "dense" for loop in accepted),
+            "accepted": int(accepted.sum()),
+            "accepted_across_sessions": int((accepted & across).sum()),
+            "rejected": int((~accepted).sum()),
+            "found": sum(loop.kind == "found" for loop in loops),
+            "dense": sum(loop.kind == "dense" for loop in loops),
         },
-        "residual_before": _spread([loop.before for loop in accepted]),
-        "residual_after": _spread([loop.after for loop in accepted]),
+        "residual_before": _spread([loop.before for loop in loops]),
+        "residual_after": _spread([loop.after for loop in loops]),
     }
 
 

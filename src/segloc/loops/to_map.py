@@ -175,16 +175,16 @@ def _append(
     chain = _chain(session)
     graph = SessionGraph(chain, supported(chain, loops, settings), settings)
     graph.optimise()
-    believed = [loop for loop in graph.loops if loop.accepted]
+    accepted = [loop for loop in graph.loops if loop.accepted]
     needed = min(settings.min_support + 1, len(session.anchors))
-    if len(believed) < needed:
+    if len(accepted) < needed:
         raise MapMismatch(
             f"session {k}: {session.name} does not meet the map: {len(loops)} of "
             f"{len(session.anchors)} places along it are found in the map, of which "
-            f"{len(believed)} agree (at least {needed} must). Is it of another place, or are its "
-            "scans faulty (`segloc doctor`)?"
+            f"{len(accepted)} agree (at least {needed} must). Is it of another place, or are its "
+            "scans or poses faulty (`segloc doctor`)?"
         )
-    marks = chain.travelled[[loop.source for loop in believed]]
+    marks = chain.travelled[[loop.source for loop in accepted]]
     apart = np.abs(session.travelled[:, None] - marks[None]).min(axis=1)
     found.names.append(session.name)
     found.indices.append(session.indices)

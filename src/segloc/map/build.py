@@ -20,7 +20,7 @@ from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.reach import reach_fault
 from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
-from ..frontend.tilt import Lean, frame_lean, levelled
+from ..frontend.tilt import Tilt, frame_tilt, levelled
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Pose, Recording, Scanned, as_recording, stamp_at
@@ -45,9 +45,9 @@ def build_map(
     Parameters
     ----------
     scans : Recording, or list of Scan or of (N, >=3) arrays
-        With poses that define the map frame, whose z axis must point up. If it clearly does not,
-        ``metadata["frame"]`` says so; with ``config.mapping.level`` the poses are turned first, as
-        recorded in ``metadata["T_map_odom"]``.
+        Scans with poses that define the map frame, whose z axis must point up. A significant tilt
+        is noted in ``metadata["frame"]``. With ``config.mapping.level`` the poses are levelled, and
+        ``metadata["T_map_odom"]`` holds the transform.
     config : BuildConfig, optional
         Also a :class:`segloc.Config`; by default that of the default method.
     poses : (K, 4, 4) array, optional
@@ -122,20 +122,20 @@ def _nothing(sequence: Recording, config: BuildConfig) -> str:
 def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
     """Return the recording in the map's frame, and metadata of that frame."""
     _poses(sequence)
-    lean = frame_lean(sequence, config.local_cloud)
+    tilt = frame_tilt(sequence, config.local_cloud)
     if config.mapping.level:
-        turned, T_map_odom = levelled(sequence, lean)
+        turned, T_map_odom = levelled(sequence, tilt)
         angle = math.degrees(geometry.rotation_angle(T_map_odom))
         text = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
         return turned, {"frame": text, "T_map_odom": json.dumps(T_map_odom.tolist())}
-    if lean is None or not lean.noticed:
+    if tilt is None or not tilt.is_significant:
         return sequence, {}
-    return sequence, {"frame": tilt_text(lean)}
+    return sequence, {"frame": tilt_text(tilt)}
 
 
-def tilt_text(lean: Lean) -> str:
+def tilt_text(tilt: Tilt) -> str:
     """Return the metadata of a frame that is not level."""
-    return f"tilted by {lean.tilt_deg:.1f} degrees: its z axis is not up"
+    return f"tilted by {tilt.tilt_deg:.1f} degrees: its z axis is not up"
 
 
 @dataclass(frozen=True)

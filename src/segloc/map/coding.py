@@ -25,7 +25,7 @@ from .contents import MAX_VOXELS
 Array = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
-MOST_GROWTH, ALWAYS_BYTES = 200, 1 << 20
+MAX_GROWTH, ALWAYS_BYTES = 200, 1 << 20
 """An unpacked map has at most this ratio to its packed size, plus a constant number of bytes."""
 
 _PART_BITS = (0, 1, 2, 4)
@@ -118,7 +118,7 @@ def packed_arrays(
 def fault_of_growth(recipes: Recipes, packed_bytes: int) -> str | None:
     """Return the fault of recipes whose sizes are too large for the packed bytes, or None."""
     claimed = sum(8 * prod(recipe.shape) for recipe in recipes.values())
-    if claimed <= MOST_GROWTH * packed_bytes + ALWAYS_BYTES:
+    if claimed <= MAX_GROWTH * packed_bytes + ALWAYS_BYTES:
         return None
     return f"{packed_bytes} bytes cannot unpack to {claimed}"
 

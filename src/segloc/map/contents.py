@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system.checks import MOST_METRES, are_rotations
+from ..system.checks import MAX_METRES, are_rotations
 from ..types import Float32, Float64
 
 Array = NDArray[Any]
@@ -28,10 +28,10 @@ _LARGEST = float(np.finfo(np.float64).max)
 _MAX_TEXT = 1000  # characters of a name
 
 RANGES: dict[str, tuple[float, float]] = {
-    "origin": (-MOST_METRES, MOST_METRES),
-    "centroids": (-MOST_METRES, MOST_METRES),
+    "origin": (-MAX_METRES, MAX_METRES),
+    "centroids": (-MAX_METRES, MAX_METRES),
     "stamps": (-_LARGEST, _LARGEST),
-    "trajectory": (-MOST_METRES, MOST_METRES),
+    "trajectory": (-MAX_METRES, MAX_METRES),
     "vectors": (-1e15, 1e15),  # squares of distances stay finite
     "quality": (0, 1),
     "cloud": (-MAX_CLOUD_M, MAX_CLOUD_M),

@@ -14,7 +14,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,20 +46,42 @@ REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "U8": "|u1"}
 _DTYPE_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _VERSION, _CHECKSUM, _CODING = "segmap_version", "checksum", "coding"
-# Name -> dtype and shape. A letter stands for a length that must be equal wherever it occurs.
-SCHEMA: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "origin": ("F64", (3,)),
-    "centroids": ("F64", ("P", 3)),
-    "stamps": ("F64", ("P",)),
-    "trajectory": ("F64", ("V", 4, 4)),
-    "vectors": ("F32", ("P", "D")),
-    "quality": ("F32", ("P",)),
-    "cloud": ("F32", ("N", 3)),
-    "sizes": ("I32", ("P",)),
-    "session": ("I32", ("P",)),
-    "missed": ("I32", ("P",)),
+
+
+class Tensor(NamedTuple):
+    """Type and meaning of a tensor; equal letters in shapes are equal lengths."""
+
+    dtype: str
+    shape: tuple[str | int, ...]
+    meaning: str
+
+
+SCHEMA = {
+    "origin": Tensor("F64", (3,), "map frame [m]; the cloud is relative to it"),
+    "centroids": Tensor("F64", ("P", 3), "mean of each segment's points, map frame [m]"),
+    "stamps": Tensor("F64", ("P",), "time of the segment's view [s]; scan number without times"),
+    "trajectory": Tensor("F64", ("V", 4, 4), "T_map_sensor along the mapped trajectory [m]"),
+    "vectors": Tensor("F32", ("P", "D"), "descriptors, compared by Euclidean distance"),
+    "quality": Tensor("F32", ("P",), "probability of a correct match, 0 to 1; optional"),
+    "cloud": Tensor("F32", ("N", 3), "one point per voxel, relative to `origin` [m]"),
+    "sizes": Tensor("I32", ("P",), "points per segment"),
+    "session": Tensor("I32", ("P",), "number of the session that saw the segment"),
+    "missed": Tensor("I32", ("P",), "consecutive sessions without the segment; optional, 0"),
 }
 OPTIONAL = frozenset({"quality", "missed"})
+FIELDS = {
+    _VERSION: "format version, a decimal number",
+    "descriptor": "name of the descriptor, as in `segloc.descriptors.available()`",
+    "fingerprint": "hash of its weights and preprocessing; queries with another are rejected",
+    "cloud_voxel": "edge of a voxel of the cloud [m], as Python's `repr` of a float",
+    _CODING: "JSON object, in version 2 only: how each tensor is packed",
+    "metadata": "JSON object of text to text: `config` (YAML of the build), `sequence`, `frame` (a "
+    "sentence, if the frame is tilted or was levelled), `T_map_odom` (JSON, 4 rows of 4 numbers, "
+    "if levelled), `georeference`, and keys of users",
+    _CHECKSUM: "checksum of the header",
+    f"{_CHECKSUM}.NAME": "checksum of tensor NAME, one key per tensor",
+}
+"""Text fields of ``__metadata__`` and their meaning."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +134,7 @@ def write(path: str | Path, contents: Contents) -> None:
         raise SeglocError(f"{path}: not written: {fault}")
     data = {
         name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
-        for name, (dtype, _) in SCHEMA.items()  # widest first, to keep buffers aligned
+        for name, (dtype, *_) in SCHEMA.items()  # widest first, to keep buffers aligned
         if name in contents.arrays
     }
     texts = {**contents.fields(), _VERSION: str(PLAIN)}
@@ -295,7 +317,7 @@ def shapes_fault(shapes: Mapping[str, tuple[str, list[int]]]) -> str | None:
         return f"{fault} {', '.join(sorted(missing or unknown))}"
     lengths: dict[str, int] = {}
     for name, (dtype, shape) in shapes.items():
-        wanted_dtype, wanted = SCHEMA[name]
+        wanted_dtype, wanted, _ = SCHEMA[name]
         resolved = [lengths.get(d, d) if isinstance(d, str) else d for d in wanted]
         fits = len(shape) == len(wanted) and all(
             isinstance(w, str) or w == s for w, s in zip(resolved, shape, strict=True)

@@ -16,7 +16,7 @@ from .. import _native, geometry
 from ..descriptors import create
 from ..errors import DatasetError, InvalidScan
 from ..frontend.segmentation import Segmenter, heights_above_ground
-from ..frontend.tilt import frame_lean
+from ..frontend.tilt import frame_tilt
 from ..system.checks import checked_poses
 from ..types import Float32, Float64, LocalCloud, MemoryRecording
 from .build import View, add_view, empty_map, tilt_text
@@ -322,5 +322,5 @@ def _frame(cloud: ThinCloud, poses: list[Float64], config: BuildConfig) -> dict[
     some = [poses[k] for k in geometry.spread(len(poses), _LEAN_VIEWS)]
     eyes = [T[:3, 3] - cloud.origin for T in some]
     scans = [cloud.near(eye, _LEAN_RADIUS_M) - eye.astype(np.float32) for eye in eyes]
-    lean = frame_lean(MemoryRecording(scans, np.array(some)), config.local_cloud)
-    return {"frame": tilt_text(lean)} if lean is not None and lean.noticed else {}
+    tilt = frame_tilt(MemoryRecording(scans, np.array(some)), config.local_cloud)
+    return {"frame": tilt_text(tilt)} if tilt is not None and tilt.is_significant else {}

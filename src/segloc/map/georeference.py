@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, MapFormatError, MissingDependency
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..types import Float64
 
 KEY = "georeference"
@@ -43,7 +43,7 @@ class Georeference:
         if not 1 <= self.epsg <= 999_999:
             raise ConfigError(f"{self.epsg} is not an EPSG code")
         origin = np.array(self.origin_m, np.float64)
-        if origin.shape != (3,) or not (np.abs(origin) <= MOST_METRES).all():
+        if origin.shape != (3,) or not (np.abs(origin) <= MAX_METRES).all():
             raise ConfigError(f"the origin of a map must be east, north, up, not {self.origin_m!r}")
 
     @classmethod

@@ -23,7 +23,7 @@ MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 """Maximum distance between trajectories that meet: a street's width, less than a storey."""
 
 MIN_AGREEMENT = 0.5
-MOST_GAIN = 0.1
+MAX_GAIN = 0.1
 """As measured in docs/how-to/align.md."""
 
 _AROUND_M = 15.0  # range compared, which both sessions cover well
@@ -91,7 +91,7 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
             f"the maps are in two frames: where they meet ({found.places} poses), the "
             f"clouds overlap no better than chance ({found.agreement:.2f}, needs {MIN_AGREEMENT:g})"
         )
-    if found.agreement is not None and found.gain > MOST_GAIN:
+    if found.agreement is not None and found.gain > MAX_GAIN:
         raise MapMismatch(
             f"the maps are in two frames: where they meet ({found.places} poses), the "
             "clouds agree much better if one is turned by some degrees "

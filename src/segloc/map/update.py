@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 from ..errors import MapMismatch, SeglocError
 from ..system.section import Section
-from ..types import Float64, Scanned, as_recording
+from ..types import Float64, Recording, Scanned, as_recording
 from .build import build_map
-from .compact import compacted
+from .compact import CompactConfig, compacted
 from .config import BuildConfig, stored_config, stored_text
 from .same_place import check_same_place
 from .segment_map import SegmentMap
@@ -102,10 +102,6 @@ def update_map(
         True to allow a session of another place in the map's frame; see
         :func:`~segloc.map.same_place.check_same_place`.
 
-    Returns
-    -------
-    SegmentMap, UpdateCounts
-
     Raises
     ------
     DatasetError
@@ -120,25 +116,14 @@ def update_map(
     visible = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
     _check_frame(visible, recording.name, update.max_gone)
     gone, seen = _classify_segments(prior_map, visible, update.gone_share)
-    missed = np.where(gone, prior_map.missed + 1, np.where(seen, 0, prior_map.missed)).astype(
-        np.int32
-    )
-    built = config or stored_config(prior_map, BuildConfig)
-    fresh = build_map(recording, built, adapt=False)
-    if config is None and (text := stored_text(prior_map)):
-        fresh.metadata["config"] = text  # keep one text, not a part beside the whole
-    try:
-        check_same_place(prior_map, fresh, elsewhere=elsewhere)
-    except MapMismatch as error:
-        raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
+    missed = np.where(gone, prior_map.missed + 1, ~seen * prior_map.missed).astype(np.int32)
+    fresh, compact = _session_map(prior_map, recording, config, elsewhere)
     stay = missed < update.max_missed
     waiting = stay & gone
     points = ~visible.gone | _within_segments(prior_map, waiting)
-    old = prior_map.kept(stay, points, missed)
-    merged = old.merge(fresh)
-    keep = _newest_views(merged, update)
-    bounded = merged.kept(keep, np.ones(len(merged.cloud), dtype=bool))
-    updated = compacted(bounded, built.mapping.compact)
+    merged = prior_map.kept(stay, points, missed).merge(fresh)
+    bounded = merged.kept(_newest_views(merged, update), np.ones(len(merged.cloud), dtype=bool))
+    updated = compacted(bounded, compact)
     return updated, UpdateCounts(
         added=len(fresh),
         seen=int(seen.sum()),
@@ -148,6 +133,21 @@ def update_map(
         bounded=len(merged) - len(updated),
         points_removed=int((~points).sum()),
     )
+
+
+def _session_map(
+    prior_map: SegmentMap, recording: Recording, config: BuildConfig | None, elsewhere: bool
+) -> tuple[SegmentMap, CompactConfig]:
+    """Build the map of a session and check that it fits; also return how to compact it."""
+    built = config or stored_config(prior_map, BuildConfig)
+    fresh = build_map(recording, built, adapt=False)
+    if config is None and (text := stored_text(prior_map)):
+        fresh.metadata["config"] = text  # keep one text, not a part beside the whole
+    try:
+        check_same_place(prior_map, fresh, elsewhere=elsewhere)
+    except MapMismatch as error:
+        raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
+    return fresh, built.mapping.compact
 
 
 def _check_frame(visible: Visibility, name: str, max_gone: float) -> None:

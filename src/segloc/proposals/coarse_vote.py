@@ -1,4 +1,4 @@
-"""One vote in a thin map of many places: poses on which most matches agree."""
+"""Coarse vote in a thin map of many tiles: poses supported by most matches."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .matching import Matcher
 from .pose import PoseConfig, PoseEstimator
 
 CANDIDATES = 32
-"""Poses that a vote proposes at most."""
+"""Most poses proposed by a vote."""
 GROWTH, PROBES = 0.3, 16
-"""Effort of matching: a vote needs only part of the matches. Set on half a million segments."""
+"""Effort of matching. Set on half a million segments: a vote needs only part of the matches."""
 PRIOR_NEIGHBOURS = 8
-"""Neighbours of a segment near a prior, where few look alike by chance."""
+"""Neighbours of a segment near a prior, where few segments are similar by chance."""
 
 
 class CoarseVoter:
@@ -27,7 +27,7 @@ class CoarseVoter:
     thin : SegmentMap
         A few views of each object; without a cloud.
     matcher : Matcher
-        In this map.
+        Of this map.
     config : PoseConfig
     reach_m : float
         Radius of a local cloud [m].
@@ -52,11 +52,11 @@ class CoarseVoter:
         self._estimator = PoseEstimator(pose, threads=threads, seed=seed)
 
     def candidates(self, scene: Segmentation, descriptors: Descriptors) -> list[Candidate]:
-        """Poses T_map_local of a query, best first."""
+        """Return poses T_map_local of a query, best first."""
         return self.poses(scene, self.matches(descriptors))
 
     def matches(self, descriptors: Descriptors, near: Prior | None = None) -> Matches:
-        """Matches of a query's segments in the thin map, or in its part near a prior."""
+        """Match the segments of a query in the thin map, or in its part near a prior."""
         if near is None:
             return self._matcher.prune(descriptors, self._matcher.match(descriptors))
         matcher = self._matcher.among(self._rows(near))
@@ -65,12 +65,12 @@ class CoarseVoter:
     def poses(
         self, scene: Segmentation, matches: Matches, near: Prior | None = None
     ) -> list[Candidate]:
-        """Poses T_map_local on which matches agree, best first."""
+        """Return poses T_map_local supported by matches, best first."""
         centroids = scene.segments.centroids
         return within(near, self._estimator.estimate(centroids, self._centroids, matches))
 
     def _rows(self, near: Prior) -> Int64:
-        """Rows of the thin map that may be in view near a prior, found in a square about it."""
+        """Return the rows of the thin map that may be in view near a prior."""
         far = near.radius_m + self._reach_m
         x, y = np.asarray(near.position)[:2]
         first, last = np.searchsorted(self._x, [x - far, x + far])

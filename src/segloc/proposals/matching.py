@@ -1,4 +1,4 @@
-"""Descriptors -> matches: the nearest map descriptors of every query segment, perhaps pruned."""
+"""Descriptors -> matches: the nearest map descriptors of each query segment, pruned if possible."""
 
 from __future__ import annotations
 
@@ -53,10 +53,9 @@ class MatchingConfig(Section):
     )
 
     def schedule(self, segments: int) -> tuple[int, ...]:
-        """Neighbours proposed in a map of so many segments: at first, and where that fails.
+        """Return the neighbours per query segment: of the first attempt and of the retry.
 
-        The more segments a map holds, the more of them look alike by chance, and the true
-        neighbour falls behind.
+        In a larger map more segments are similar by chance, so the true neighbour ranks lower.
         """
         share = max(1.0, segments / self.grows_from)
         grown = min(round(self.neighbours * share**self.growth), self.max_neighbours)
@@ -66,17 +65,17 @@ class MatchingConfig(Section):
 
 
 class Matcher:
-    """Finds, for every query descriptor, its nearest map descriptors.
+    """Finds the nearest map descriptors of each query descriptor.
 
-    The search is exact, except in maps large enough for an index, where it reads the lists of
-    descriptors around the nearest centres (an inverted file).
+    The search is exact, except in maps large enough for an index (an inverted file): there it reads
+    the lists of descriptors around the nearest centres.
 
-    Methods with a ``pruner`` then keep the matches that it finds likely.
+    Methods with a ``pruner`` then keep the probable matches.
 
     Attributes
     ----------
     schedule : tuple of int
-        Neighbours of each query segment, at first and where that was too few.
+        Neighbours per query segment: of the first attempt and of the retry.
     """
 
     def __init__(
@@ -96,10 +95,10 @@ class Matcher:
         self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
-        self._rows: Int64 | None = None  # of the map that are searched; None: all
+        self._rows: Int64 | None = None  # map rows to search; None: all
 
     def among(self, rows: Int64) -> Matcher:
-        """The same search among some of the map's segments alone, exact however many they are."""
+        """Return a matcher for some of the map's segments; its search is exact."""
         some = copy(self)
         some.schedule = self.config.schedule(len(rows))[: len(self.schedule)]
         vectors = np.ascontiguousarray(self._vectors[rows])
@@ -108,35 +107,35 @@ class Matcher:
         return some
 
     def once(self, growth: float, probes: int) -> Matcher:
-        """The same search without a second attempt, for fewer neighbours from fewer lists."""
+        """Return a matcher without a retry, for fewer neighbours from fewer lists."""
         some = copy(self)
         some.config = self.config.model_copy(update={"growth": growth, "probes": probes})
         some.schedule = some.config.schedule(len(self._vectors))[:1]
         return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
-        """The nearest map segments of every query segment, best match first.
+        """Match each query segment to its nearest map segments, best match first.
 
-        So many of them for each; by default the first number of the ``schedule``.
+        Their number is ``neighbours``, by default the first of the ``schedule``.
         """
         return self.neighbours(query).matches(neighbours or self.schedule[0])
 
     def neighbours(self, query: Descriptors) -> NeighbourSearch:
-        """The search for the neighbours of a query's segments."""
+        """Return the neighbour search of a query."""
         return NeighbourSearch(self, query)
 
     def nearest(self, query: Descriptors, neighbours: int) -> Nearest:
-        """So many map segments for each query segment, nearest first, with their distances."""
+        """Return the nearest map segments of each query segment, with distances, nearest first."""
         found = self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
         return found if self._rows is None else (self._rows[found[0]], found[1])
 
     @property
     def indexed(self) -> bool:
-        """Whether the map is searched through an index."""
+        """Whether the map has an approximate index."""
         return self._index.lists > 1
 
     def prune(self, query: Descriptors, matches: Matches) -> Matches:
-        """The matches that are likely enough, scored by that; all of them without a pruner."""
+        """Return the probable matches, scored by probability; all matches without a pruner."""
         if self._pruner is None:
             return matches
         score = self._pruner.probability(
@@ -147,11 +146,11 @@ class Matcher:
 
 
 class NeighbourSearch:
-    """The neighbours of one query's segments, more of them when more are needed.
+    """Neighbour search of one query; a retry reuses the results of an index.
 
-    The lists of an index are read once, for the longest of the schedule: shorter ones take the
-    nearest of what it found. That costs the first a third more, and spares the second its search.
-    Smaller maps are searched each time.
+    An index is read once, for the largest number in the schedule. The first attempt takes the
+    nearest of these, which costs it a third more; the retry is then free. Maps without an index are
+    searched each time.
     """
 
     def __init__(self, matcher: Matcher, query: Descriptors) -> None:
@@ -159,10 +158,10 @@ class NeighbourSearch:
         self._found: Nearest | None = None
 
     def matches(self, neighbours: int) -> Matches:
-        """So many map segments for each query segment, best match first.
+        """Match each query segment to its nearest map segments, best match first.
 
-        A match's score is the likelihood exp(-distance), times the quality of both descriptors
-        where they have one.
+        The score of a match is exp(-distance), times the quality of both descriptors if they have
+        one.
         """
         nearest, distances = self._nearest(neighbours)
         nearest, distances = nearest[:, :neighbours], distances[:, :neighbours]

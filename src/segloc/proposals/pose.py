@@ -23,9 +23,9 @@ class ConsistencyConfig(Section):
         le=100,
         description="tolerance of the length of an edge between two matches, metres",
     )
-    min_cluster: int = Field(4, ge=3, le=1000, description="least distinct objects of a set")
+    min_cluster: int = Field(4, ge=3, le=1000, description="fewest distinct objects of a set")
     max_sets: int = Field(
-        64, ge=1, le=100_000, description="most sets, from which those at different places are kept"
+        64, ge=1, le=100_000, description="most sets, before those at one place are merged"
     )
 
 
@@ -60,15 +60,18 @@ class PoseConfig(Section):
         2_000_000, ge=1, le=10**9, description="most samples of prosac and ransac"
     )
     chance: float = Field(
-        0.01, gt=0, lt=1, description="share of matches that fit a wrong pose (prosac, ransac)"
+        0.01,
+        gt=0,
+        lt=1,
+        description="share of matches that fit a wrong pose by chance (prosac, ransac)",
     )
-    max_candidates: int = Field(8, ge=1, le=1000, description="candidates handed to verification")
+    max_candidates: int = Field(8, ge=1, le=1000, description="most candidates for verification")
 
 
 def _objects(centroids: Float64, radius: float) -> Int64:
-    """The object of each of (P, 3) segments: one with the first that is so near, seen from above.
+    """Return the object of each of (P, 3) segments: that of the first within the radius, in 2D.
 
-    An object cut at two heights is two segments.
+    An object cut at two heights has two segments.
     """
     x, y = centroids[:, 0], centroids[:, 1]
     near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < radius**2
@@ -80,7 +83,7 @@ def _objects(centroids: Float64, radius: float) -> Int64:
 
 
 class PoseEstimator:
-    """Finds poses on which many matches agree; several, at different places, best first."""
+    """Estimates poses supported by many matches, at different places, best first."""
 
     def __init__(
         self, config: PoseConfig | None = None, *, threads: int = 0, seed: int = 0
@@ -96,7 +99,7 @@ class PoseEstimator:
         }[self.config.estimator]
 
     def estimate(self, query: Float64, map_centroids: Float64, matches: Matches) -> list[Candidate]:
-        """Candidate poses T_map_local.
+        """Estimate candidate poses T_map_local.
 
         Parameters
         ----------
@@ -112,9 +115,9 @@ class PoseEstimator:
     def agreement(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> Callable[[Pose], int]:
-        """What counts the objects of a query that agree with a pose T_map_local.
+        """Return a counter of the objects of a query that agree with a pose T_map_local.
 
-        Parameters are those of :meth:`estimate`.
+        Parameters as :meth:`estimate`.
         """
         return _native.Agreement(
             query,
@@ -178,11 +181,11 @@ class PoseEstimator:
 
 
 class ConsistentMatches:
-    """Finds sets of matches in which every edge is as long in the query as in the map.
+    """Finds sets of matches whose edges have equal lengths in the query and in the map.
 
-    Every match grows a set, unless it is in one already: again and again the match joins that is
-    consistent with most of those that still may. Matches are compared only where their map
-    segments are near enough. A set holds an object of the query, and a segment of the map, once.
+    Each match that is in no set yet starts one. The set repeatedly gains the match that is
+    consistent with most of the remaining ones. Only matches with nearby map segments are compared.
+    A set holds each query object and each map segment once.
     """
 
     def __init__(self, config: ConsistencyConfig, separation: Separation) -> None:
@@ -195,9 +198,9 @@ class ConsistentMatches:
         map_centroids: Float64,
         matches: Matches,
         objects: Int64,
-        most: int,
+        max_poses: int,
     ) -> tuple[Float64, Int64]:
-        """Least-squares SE(3) of the largest sets at different places, and how many they hold.
+        """Return the least-squares SE(3) of the largest sets at different places, and their sizes.
 
         Parameters
         ----------
@@ -205,9 +208,9 @@ class ConsistentMatches:
         map_centroids : (M, 3) float64
         matches : Matches
         objects : (P,) int64
-            Which object each query segment is a part of.
-        most : int
-            Poses at most.
+            Object of each query segment.
+        max_poses : int
+            Most poses returned.
 
         Returns
         -------
@@ -230,4 +233,4 @@ class ConsistentMatches:
         for k, T in enumerate(poses):
             if all(self._separation.apart(poses[other], T) for other in kept):
                 kept.append(k)
-        return poses[kept[:most]], np.diff(offsets)[kept[:most]]
+        return poses[kept[:max_poses]], np.diff(offsets)[kept[:max_poses]]

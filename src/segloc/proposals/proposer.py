@@ -1,4 +1,4 @@
-"""What proposes poses for a query: the seam for proposers and estimators of one's own."""
+"""Interfaces of proposers and pose estimators; your own can replace those of segloc."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Proposer(Protocol):
     Attributes
     ----------
     name : str
-        Names the proposer in answers.
+        Name of the proposer in answers.
     exhaustive : bool
         True if the whole map is searched. Candidates that segment matches do not decide are then
         verified together with those of the proposers.
@@ -55,7 +55,7 @@ class Proposer(Protocol):
     def exhaustive(self) -> bool: ...
 
     def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
-        """Propose poses; the query's cloud is compared with the map at each of them."""
+        """Propose poses. At each, the query's cloud is compared with the map."""
         ...
 
 
@@ -78,5 +78,5 @@ class Estimator(Protocol):
     def agreement(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> Callable[[Pose], int]:
-        """Return what counts the query segments that agree with a pose T_map_local (4, 4)."""
+        """Return a function that counts the query segments that agree with a T_map_local (4, 4)."""
         ...

@@ -12,7 +12,7 @@ from ..errors import ConfigError, DatasetError
 
 OPTION = "SEGLOC_MAX_POINTS"
 """Environment variable that sets all of the limits."""
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 """Of a scan: 40 times a turn of the densest sensors."""
 BYTES_A_POINT = 50
 """More than a point takes in any format, as text or with all its fields."""
@@ -29,7 +29,7 @@ def most_points() -> int:
     """
     text = os.environ.get(OPTION, "")
     if not text:
-        return MOST_POINTS
+        return MAX_POINTS
     if not (text.isascii() and text.isdigit() and len(text) <= 15 and int(text)):
         raise ConfigError(f"{OPTION} must be a positive whole number, not {text[:40]!r}")
     return int(text)

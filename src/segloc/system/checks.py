@@ -14,18 +14,18 @@ Float64 = NDArray[np.float64]
 Pose = NDArray[np.float64]
 """A (4, 4) float64 homogeneous transform. ``T_a_b`` takes points from frame b to frame a."""
 
-MOST_METRES = 1e8
+MAX_METRES = 1e8
 """Maximum coordinate in any frame [m]. UTM and ECEF coordinates are below 1e7 m, ranges in
 millimetres by mistake are too, and float64 resolves 1e-8 m. Poses beyond it are rejected; points of
 a scan are dropped and counted."""
 
-MOST_LOCAL_METRES = 1e5
+MAX_LOCAL_METRES = 1e5
 """Maximum coordinate of a local cloud [m]; farther points are in another frame or unit."""
 
 ROTATION_TOLERANCE = 1e-3
 """Maximum deviation of the entries of R R^T from the identity."""
 
-_WIDEST_ROW = 64  # (3, N) instead of (N, 3)
+_MAX_ROW = 64  # (3, N) instead of (N, 3)
 
 
 def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
@@ -53,7 +53,7 @@ def checked_points(points: ArrayLike) -> Float32:
     array = as_array(points, "points")
     if array.ndim != 2 or array.shape[1] < 3:
         raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
-    if array.shape[0] == 3 and array.shape[1] > _WIDEST_ROW:
+    if array.shape[0] == 3 and array.shape[1] > _MAX_ROW:
         raise InvalidScan(f"points must have shape (N, 3), not {array.shape}: transpose them")
     if not np.issubdtype(array.dtype, np.floating):
         raise InvalidScan(
@@ -64,7 +64,7 @@ def checked_points(points: ArrayLike) -> Float32:
 
 
 def checked_local_points(points: ArrayLike) -> Float32:
-    """Check a local cloud like :func:`checked_points`; finite and within ``MOST_LOCAL_METRES``.
+    """Check a local cloud like :func:`checked_points`; finite and within ``MAX_LOCAL_METRES``.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def checked_local_points(points: ArrayLike) -> Float32:
         If the shape or dtype is wrong; names the first row with an invalid value.
     """
     array = checked_points(points)
-    check_finite(array, "points", MOST_LOCAL_METRES)
+    check_finite(array, "points", MAX_LOCAL_METRES)
     return array
 
 
@@ -213,7 +213,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     ------
     InvalidScan
         If the shape is wrong, a value is not finite, the rotation is invalid (beyond 1e-3), or the
-        position is farther than ``MOST_METRES`` from the origin.
+        position is farther than ``MAX_METRES`` from the origin.
     """
     T: Pose = as_array(pose, name, np.float64).copy()
     if T.shape != (4, 4):
@@ -221,7 +221,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     R = T[:3, :3]
     if not np.isfinite(T).all():
         raise InvalidScan(f"{name} has values that are not finite")
-    if np.abs(T[:3, 3]).max() > MOST_METRES:
+    if np.abs(T[:3, 3]).max() > MAX_METRES:
         raise InvalidScan(f"{name} lies {np.abs(T[:3, 3]).max():.3g} m from the origin: metres?")
     if not are_rotations(R):
         raise InvalidScan(f"{name} is not a rigid transform: {_rotation_fault(R)}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import MOST_METRES, Float32
+from .checks import MAX_METRES, Float32
 
 RANGE_TOLERANCE_M = 1e-3
 """Half the width of "one range" [m]: the rounding of coordinates written with three decimals."""
@@ -34,15 +34,15 @@ def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int
     kept : (N,) bool or None
         None: all points.
     dropped : int
-        Points with a coordinate that is not finite or beyond ``MOST_METRES``.
+        Points with a coordinate that is not finite or beyond ``MAX_METRES``.
     missing : int
         Points that stand for missing returns.
     """
     if not len(points):
         return None, 0, 0
     kept, dropped = None, 0
-    if not np.abs(points).max() <= MOST_METRES:  # also for NaN
-        kept = np.asarray((np.abs(points) <= MOST_METRES).all(axis=1))
+    if not np.abs(points).max() <= MAX_METRES:  # also for NaN
+        kept = np.asarray((np.abs(points) <= MAX_METRES).all(axis=1))
         points, dropped = points[kept], int(len(kept) - kept.sum())
     if (missing := missing_returns(points)) is None:
         return kept, dropped, 0

@@ -21,7 +21,7 @@ from ..types import Float64
 from .index import (
     FORMAT_VERSION,
     INDEX,
-    MOST_INDEX_BYTES,
+    MAX_INDEX_BYTES,
     Tile,
     TileFile,
     TileIndex,
@@ -77,11 +77,7 @@ def cut_tiles(
     SeglocError
         If writing fails; the old tiles are then unchanged.
     """
-    if not (50 <= size_m <= 1e6 and 0 <= margin_m <= 1e3):
-        raise ConfigError(
-            f"tiles must be 50 m to 1000 km wide with a margin of at most 1 km, not {size_m:g} m "
-            f"and {margin_m:g} m"
-        )
+    _check_lengths(size_m, margin_m)
     store, cells = store_of(out), _cells(prior_map, size_m)
     tasks = (
         _Task(part, cell, size_m, out) for cell, part in _parts(prior_map, cells, size_m, margin_m)
@@ -106,6 +102,14 @@ def cut_tiles(
         )
         publish(store, index)
     return index
+
+
+def _check_lengths(size_m: float, margin_m: float) -> None:
+    if not (50 <= size_m <= 1e6 and 0 <= margin_m <= 1e3):
+        raise ConfigError(
+            f"tiles must be 50 m to 1000 km wide with a margin of at most 1 km, not {size_m:g} m "
+            f"and {margin_m:g} m"
+        )
 
 
 @dataclass(frozen=True)
@@ -150,7 +154,7 @@ def publish(store: Store, index: TileIndex) -> None:
     """
     named = set(_named(index))
     with suppress(OSError, MapFormatError):
-        named.update(_named(TileIndex.parse(store.read(INDEX, MOST_INDEX_BYTES), store.where)))
+        named.update(_named(TileIndex.parse(store.read(INDEX, MAX_INDEX_BYTES), store.where)))
     store.write(INDEX, index.model_dump_json(indent=1).encode())
     for name in store.names():
         ours = name.endswith(".segmap") and name.startswith(("tile_", "coarse-"))

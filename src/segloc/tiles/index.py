@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from ..errors import MapFormatError
 from ..prior import Prior
-from ..system.checks import MOST_METRES
+from ..system.checks import MAX_METRES
 from ..system.section import Section
 from ..types import Float64
 
@@ -20,7 +20,7 @@ INDEX = "tiles.json"
 FORMAT_VERSION = 1
 """To be increased when older readers would misread newer files."""
 
-MOST_INDEX_BYTES = 64_000_000
+MAX_INDEX_BYTES = 64_000_000
 _MAX_FILE_BYTES = 1 << 36
 _DIGEST = r"^[0-9a-f]{32}$"
 _NAME = r"^[a-z0-9_.-]{1,100}$"  # restricts untrusted indices to files beside them
@@ -29,60 +29,38 @@ _Cell = Annotated[int, Field(ge=-(1 << 31), le=1 << 31)]
 
 
 class TileFile(Section):
-    """File beside the index.
+    """File beside the index."""
 
-    Attributes
-    ----------
-    file : str
-        Name with the digest in it, so that files are never overwritten.
-    bytes : int
-    digest : str
-        BLAKE2b-128 of the content.
-    segments : int
-    """
-
-    file: str = Field(pattern=_NAME)
-    bytes: int = Field(ge=0, le=_MAX_FILE_BYTES)
-    digest: str = Field(pattern=_DIGEST)
-    segments: int = Field(ge=0)
+    file: str = Field(
+        pattern=_NAME,
+        description="name of the file, with its digest: files are never overwritten",
+    )
+    bytes: int = Field(ge=0, le=_MAX_FILE_BYTES, description="size of the file")
+    digest: str = Field(pattern=_DIGEST, description="BLAKE2b-128 of the file")
+    segments: int = Field(ge=0, description="number of segments")
 
 
 class Tile(TileFile):
-    """Map of one square.
+    """Map of one square."""
 
-    Attributes
-    ----------
-    cell : (int, int)
-        Tile (i, j) owns x from ``i * size_m`` to ``(i + 1) * size_m``, and y likewise.
-    poses : int
-        Number of poses of the trajectory within the square.
-    """
-
-    cell: tuple[_Cell, _Cell]
-    poses: int = Field(ge=0)
+    cell: tuple[_Cell, _Cell] = Field(
+        description="(i, j): owns x from i to i + 1 times `size_m`, and y likewise"
+    )
+    poses: int = Field(ge=0, description="poses of the trajectory in the square")
 
 
 class TileIndex(Section):
-    """Content of ``tiles.json``.
+    """Content of ``tiles.json``."""
 
-    Attributes
-    ----------
-    size_m : float
-        Edge of a square [m].
-    margin_m : float
-        Margin around its square that a tile also holds [m].
-    coarse : TileFile
-        Thin map of all tiles, without clouds.
-    tiles : tuple of Tile
-    """
-
-    version: int = Field(ge=1)
-    size_m: float = Field(gt=0, le=MOST_METRES)
-    margin_m: float = Field(ge=0, le=MOST_METRES)
-    descriptor: str = Field(max_length=1000)
-    fingerprint: str = Field(max_length=1000)
-    coarse: TileFile
-    tiles: tuple[Tile, ...]
+    version: int = Field(ge=1, description="format version")
+    size_m: float = Field(gt=0, le=MAX_METRES, description="edge of a square [m]")
+    margin_m: float = Field(
+        ge=0, le=MAX_METRES, description="margin around its square that a tile also holds [m]"
+    )
+    descriptor: str = Field(max_length=1000, description="name of the descriptor")
+    fingerprint: str = Field(max_length=1000, description="hash of its weights and preprocessing")
+    coarse: TileFile = Field(description="thin map of all tiles, without clouds")
+    tiles: tuple[Tile, ...] = Field(description="tiles, each a file with a square")
 
     @classmethod
     def parse(cls, data: bytes, where: str) -> TileIndex:

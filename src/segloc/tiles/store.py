@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 from ..errors import MapFormatError, MissingDependency, SeglocError
 from ..system.files import replacing
 from ..system.locks import exclusive
-from .index import INDEX, MOST_INDEX_BYTES, TileFile, digest_of
+from .index import INDEX, MAX_INDEX_BYTES, TileFile, digest_of
 
 Answer = TypeVar("Answer")
 
@@ -206,7 +206,7 @@ class Reader:
         MapFormatError
             If it cannot be read.
         """
-        return self._fetched(name, MOST_INDEX_BYTES)
+        return self._fetched(name, MAX_INDEX_BYTES)
 
     def tile(self, tile: TileFile) -> bytes:
         """Read a tile from the cache or the store.

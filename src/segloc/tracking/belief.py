@@ -1,6 +1,6 @@
-"""A Bayes filter over the places that a robot may be at, and "lost": none of them.
+"""Bayes filter over the possible places of a robot and "lost": none of them.
 
-No clouds and no clocks: poses are ``T_map_odom``, and time is the distance travelled.
+It needs no clouds and no clock: poses are ``T_map_odom``, and time is the distance travelled.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from .. import geometry
 from ..system.section import Section
 from ..types import Float64, Pose
 
-_LEAST = 1e-3
-"""A hypothesis less probable than this is dropped."""
-_MOST = 300.0
-"""A larger log-ratio would overflow."""
+_MIN_PROBABILITY = 1e-3
+"""Hypotheses below this are dropped."""
+_MAX_LOG_RATIO = 300.0
+"""Larger log-ratios would overflow."""
 
 
 class Status(str, Enum):
-    """How well the pose of a robot is known."""
+    """State of localization of a robot."""
 
     LOST = "lost"
     CANDIDATE = "candidate"
@@ -36,7 +36,7 @@ class Status(str, Enum):
 
 
 class BeliefConfig(Section):
-    """How odometry errs, and how much a view counts."""
+    """Errors of odometry, and weights of views."""
 
     localized_from: float = Field(
         0.95, gt=0.5, lt=1, description="probability from which a track is not degraded"
@@ -56,17 +56,17 @@ class BeliefConfig(Section):
 
 @dataclass(frozen=True)
 class Reading:
-    """How well a view fits at one pose.
+    """Fit of a view at one pose.
 
     Attributes
     ----------
     T_map_odom : (4, 4) float64
     log_ratio : float
-        Log of how much likelier the view is from there than from none of the map.
+        Log-likelihood ratio of the view from there against a view from outside the map.
     covariance : (6, 6) float64 or None
-        Of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
+        Covariance of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
     known_ratio : float
-        The log-ratio of a pose that is known before: it may be at the end of the map.
+        Log-ratio of a pose that is a hypothesis already: it may be at the end of the map.
     """
 
     T_map_odom: Pose
@@ -77,16 +77,16 @@ class Reading:
 
 @dataclass(frozen=True)
 class View:
-    """What was measured after ``at`` metres (:attr:`Belief.travelled`), from ``T_odom_sensor``.
+    """Fits measured after ``at`` metres (:attr:`Belief.travelled`), from ``T_odom_sensor``.
 
     Attributes
     ----------
     new_check, new_search : float
-        Share of the newest scan, and of the cloud of the search, that no earlier view has had.
+        Shares of the newest scan, and of the cloud of the search, that no earlier view contained.
     checks : dict of int to Reading
-        Of the newest scan at hypotheses, by their keys.
+        Fits of the newest scan at hypotheses, by their keys.
     places : sequence of Reading
-        What a search over the map found.
+        Places found by a search of the map.
     """
 
     at: float
@@ -99,12 +99,12 @@ class View:
 
 @dataclass
 class Hypothesis:
-    """One place that the robot may be at; its pose was measured ``at`` and from ``T_odom_sensor``.
+    """A possible place of the robot; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``counted`` is the log-ratio of searches that ``probability`` has in it. ``views`` counts the
-    views that support it, overlapping ones by their new share. It is ``believed`` from
+    ``counted`` is the log-ratio of searches that is part of ``probability``. ``views`` counts the
+    views that support it, overlapping ones by their new share. It is ``accepted`` from
     ``min_confidence`` on, for as long as it is more probable than not. ``leaked`` is the
-    probability that it lost since a scan has fitted it.
+    probability lost since a scan last fitted.
     """
 
     key: int
@@ -115,23 +115,23 @@ class Hypothesis:
     probability: float
     counted: float
     views: float = 1.0
-    believed: bool = False
+    accepted: bool = False
     leaked: float = 0.0
 
 
 class Belief:
-    """Probabilities of hypotheses, carried along by odometry and weighed by views.
+    """Probabilities of hypotheses, predicted by odometry and updated by views.
 
     Attributes
     ----------
     hypotheses : list of Hypothesis
-        The most probable first.
+        Hypotheses, the most probable first.
     lost : float
         Probability that the robot is at none of them.
     travelled : float
         Distance, with the unobserved travel of jumps [m].
-    doubt : str
-        What speaks against the track, or has ended it; "" if nothing.
+    problem : str
+        Why the track is contradicted or has ended; "" if neither.
     """
 
     def __init__(
@@ -143,72 +143,72 @@ class Belief:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all hypotheses."""
+        """Drop all hypotheses."""
         self.hypotheses: list[Hypothesis] = []
-        self.lost, self.doubt = 1.0, ""
+        self.lost, self.problem = 1.0, ""
 
     @property
     def track(self) -> Hypothesis | None:
-        """The hypothesis that is believed."""
-        return next((h for h in self.hypotheses if h.believed), None)
+        """The accepted hypothesis."""
+        return next((h for h in self.hypotheses if h.accepted), None)
 
     def move(self, metres: float) -> None:
-        """Follow the odometry: every hypothesis leaks to "lost"."""
+        """Predict by odometry: every hypothesis leaks to "lost"."""
         self.travelled += metres
         kept = math.exp(-self.config.leak * metres)
         self.lost = 1.0 - kept * (1.0 - self.lost)
         for h in self.hypotheses:
             h.leaked += (1.0 - kept) * h.probability
             h.probability *= kept
-        self._settle(self.track)
+        self._normalize(self.track)
 
-    def carry(self, T_new_old: Pose, doubt: str) -> None:
-        """Follow a jump of the odometry, as if the robot had stood still."""
+    def follow_jump(self, T_new_old: Pose, problem: str) -> None:
+        """Follow a jump of the odometry, as of a robot at rest."""
         for h in self.hypotheses:
             h.T_map_odom = h.T_map_odom @ geometry.inverse(T_new_old)
             h.T_odom_sensor = T_new_old @ h.T_odom_sensor
-        self.doubt = doubt
+        self.problem = problem
         self.move(self.config.jump_m)
 
     def update(self, view: View) -> bool:
-        """Weigh the hypotheses by the places that a search found, and by the newest scan.
+        """Update the hypotheses by the places of a search and by the newest scan.
 
         A new place has the probability of "lost" times its ratio: from "lost" alone, one view gives
-        the posterior of a single query. What earlier searches have seen counts once.
+        the posterior of a single query. Overlap with earlier searches counts once.
 
         Returns
         -------
         bool
-            Whether the newest scan contradicts the track. Then the earlier scans may be of another
-            place, and what was found with them does not count.
+            True if the newest scan contradicts the track. The earlier scans may then be of another
+            place, so the places found with them are ignored.
         """
         track = self.track
-        evidence = 0.0 if track is None else self._evidence(track, view)
-        contradicted = evidence < -math.log(2.0)
-        if evidence:
-            self.doubt = "the map contradicts the track" if contradicted else ""
+        gain = 0.0 if track is None else self._gain(track, view)
+        contradicted = gain < -math.log(2.0)
+        if gain:
+            self.problem = "the map contradicts the track" if contradicted else ""
         for place in () if contradicted else view.places:
             self._add(place, view)
         for h in self.hypotheses:
             if h.key in view.checks:
                 self._check(h, view.checks[h.key], view)
         self._merge(view.T_odom_sensor)
-        self._settle(track)
+        self._normalize(track)
         return contradicted
 
     def status(self) -> tuple[Status, str]:
-        """How well the pose is known, and why it is not known better."""
+        """Return the status, and why it is not better."""
         if (track := self.track) is not None:
             if track.probability >= self.config.localized_from:
                 return Status.LOCALIZED, ""
-            return Status.DEGRADED, self.doubt or self._unsupported(track)
+            return Status.DEGRADED, self.problem or self._unsupported(track)
         if self.lost < 0.5:
             several = sum(h.probability > 0.1 for h in self.hypotheses) > 1
             return Status.CANDIDATE, "several places fit" if several else "no agreement yet"
-        return Status.LOST, self.doubt or "nothing found"
+        return Status.LOST, self.problem or "nothing found"
 
     def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
-        """Covariance of the track's pose, grown by the drift since it was measured."""
+        """Return the covariance of the track's pose, with the drift since it was measured."""
         track = self.track
         if track is None or track.covariance is None:
             return None
@@ -219,53 +219,53 @@ class Belief:
         return geometry.carried_covariance(track.covariance, T_now_then) + grown
 
     def _add(self, place: Reading, view: View) -> None:
-        """Let a place support the hypotheses that are there, and take its share of "lost"."""
+        """Add a place: support the hypotheses there, and take its share of "lost"."""
         new, unknown, most = view.new_search, 1.0, self.config.max_log_ratio
         for h in self.hypotheses:
             if self._same(h.T_map_odom, place.T_map_odom, view.T_odom_sensor):
                 counted, unknown = (1.0 - new) * h.counted, new
                 h.probability *= math.exp(min(max(0.0, place.log_ratio - counted), most))
                 h.counted, h.views = max(place.log_ratio, counted), h.views + new
-                self._place(h, place, view)
+                self._update_pose(h, place, view)
         ratio = min(place.log_ratio, max(new, self.lost) * place.log_ratio)
-        ratio = min(ratio, _MOST if self.lost >= 0.5 else most)
+        ratio = min(ratio, _MAX_LOG_RATIO if self.lost >= 0.5 else most)
         weight = unknown * self.lost * math.exp(ratio)
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
         self.hypotheses.append(Hypothesis(*where, weight, ratio))
 
-    def _evidence(self, h: Hypothesis, view: View) -> float:
-        """The log-ratio that the newest scan adds to a hypothesis."""
+    def _gain(self, h: Hypothesis, view: View) -> float:
+        """Return the log-ratio that the newest scan adds to a hypothesis."""
         seen, most = view.checks.get(h.key), self.config.max_log_ratio
         return 0.0 if seen is None else view.new_check * min(max(seen.known_ratio, -most), most)
 
     def _check(self, h: Hypothesis, seen: Reading, view: View) -> None:
-        """Apply the newest scan. It was compared at few poses: where it fits, it holds what was
-        found, and makes nothing of it that a search over the map does not."""
-        evidence, fits = self._evidence(h, view), seen.log_ratio > 0.0
+        """Apply the newest scan. It was compared at few poses, so a fit restores leaked
+        probability, and adds none beyond what a search of the map found."""
+        gain, fits = self._gain(h, view), seen.log_ratio > 0.0
         if fits:
             h.views += view.new_check
-            self._place(h, seen, view)
-        if evidence > 0.0 and not h.believed:
+            self._update_pose(h, seen, view)
+        if gain > 0.0 and not h.accepted:
             back = h.leaked if fits else 0.0
             h.probability, self.lost = h.probability + back, max(0.0, self.lost - back)
         else:
-            h.probability *= math.exp(evidence)
+            h.probability *= math.exp(gain)
         h.leaked = 0.0
 
-    def _place(self, h: Hypothesis, seen: Reading, view: View) -> None:
-        """Take the pose that was measured, if it would be believed by itself."""
+    def _update_pose(self, h: Hypothesis, seen: Reading, view: View) -> None:
+        """Replace the pose by the measured one, if that alone would be accepted."""
         p = self.min_confidence
         if seen.covariance is not None and seen.log_ratio >= math.log(p / (1.0 - p)):
             h.T_map_odom, h.covariance = seen.T_map_odom, seen.covariance
             h.T_odom_sensor, h.at = view.T_odom_sensor, view.at
 
     def _same(self, T_a: Pose, T_b: Pose, T_odom_sensor: Pose) -> bool:
-        """Whether two T_map_odom put a sensor at one place."""
+        """Return whether two T_map_odom give the sensor the same place."""
         return not self._separation.apart(T_a @ T_odom_sensor, T_b @ T_odom_sensor)
 
     def _merge(self, T_odom_sensor: Pose) -> None:
-        """Make hypotheses of one place one, at the pose of the most probable."""
+        """Merge hypotheses of one place, at the pose of the most probable."""
         merged: list[Hypothesis] = []
         for h in sorted(self.hypotheses, key=lambda h: -h.probability):
             same = (m for m in merged if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor))
@@ -274,22 +274,22 @@ class Belief:
             else:
                 m.probability, m.key = m.probability + h.probability, min(m.key, h.key)
                 m.views, m.counted = max(m.views, h.views), max(m.counted, h.counted)
-                m.believed = m.believed or h.believed
+                m.accepted = m.accepted or h.accepted
         self.hypotheses = merged
 
-    def _settle(self, before: Hypothesis | None) -> None:
-        """Normalise, drop what is improbable, and believe what is probable."""
+    def _normalize(self, before: Hypothesis | None) -> None:
+        """Normalise, drop improbable hypotheses, and accept a probable one."""
         total = self.lost + sum(h.probability for h in self.hypotheses)
-        kept = [h for h in self.hypotheses if h.probability >= _LEAST * total]
+        kept = [h for h in self.hypotheses if h.probability >= _MIN_PROBABILITY * total]
         for h in kept:
             h.probability /= total
-            h.believed = h.probability >= (0.5 if h.believed else self.min_confidence)
+            h.accepted = h.probability >= (0.5 if h.accepted else self.min_confidence)
         self.hypotheses = sorted(kept, key=lambda h: -h.probability)
         self.lost = max(0.0, 1.0 - sum(h.probability for h in kept))
         if (track := self.track) is None:
-            self.doubt = self.doubt or (self._unsupported(before) if before else "")
+            self.problem = self.problem or (self._unsupported(before) if before else "")
         elif before is None or track.key != before.key:
-            self.doubt = ""
+            self.problem = ""
 
     def _unsupported(self, track: Hypothesis) -> str:
-        return f"nothing supports the track since {self.travelled - track.at:.0f} m"
+        return f"no view supports the track for {self.travelled - track.at:.0f} m"

@@ -271,7 +271,7 @@ def test_pose_files_that_are_none(name: str, harm: bytes, tmp_path: Path) -> Non
     path = WRITERS[name][0](tmp_path, DRIVE)
     file = next(file for file in path.rglob("*") if file.suffix in (".csv", ".txt"))
     file.write_bytes(harm)
-    assert opened(path, poses="none").poses is None  # what is not asked for is not read
+    assert opened(path, poses="none").poses is None  # read on request only
     sequence = opened(path)
     assert sequence.poses is None
     assert [file.name in note and "\n" not in note for note in sequence.notes] == [True]

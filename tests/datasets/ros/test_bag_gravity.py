@@ -127,7 +127,7 @@ def test_what_is_no_gravity_is_not_taken(tmp_path: Path) -> None:
 
 
 def test_an_imu_whose_place_is_not_known(tmp_path: Path) -> None:
-    """Taken as aligned with the sensor, which is said, unless that cannot be."""
+    """Taken as aligned with the sensor, with a note, unless that cannot be."""
     bag = bag_of("sqlite3", placed=False)
     for time in TIMES:
         bag.imu("/other", time, 9.81 * Z, "there")
@@ -166,7 +166,7 @@ def test_odometry_of_a_base_that_is_said_by_hand(tmp_path: Path) -> None:
     for time in TIMES:
         bag.odometry("/odom", time, DRIVE.pose(time), "base_link")
     assert opened(bag, tmp_path / "unknown").poses is None
-    sequence = opened(bag, tmp_path / "said", T_base_sensor=LIDAR)
+    sequence = opened(bag, tmp_path / "noted", T_base_sensor=LIDAR)
     np.testing.assert_allclose(sequence.poses, DRIVE.poses @ LIDAR, atol=1e-4)
     np.testing.assert_array_equal(sequence.scan(0).T_base_sensor, LIDAR)
 

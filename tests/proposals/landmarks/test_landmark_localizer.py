@@ -76,7 +76,7 @@ def test_an_empty_map_has_nothing(localizer: LandmarkLocalizer) -> None:
 
 
 def test_other_things_are_refused(localizer: LandmarkLocalizer) -> None:
-    with pytest.raises(InvalidScan, match="a query is Landmarks, not ndarray"):
+    with pytest.raises(InvalidScan, match="a query must be Landmarks, not ndarray"):
         localizer.localize(np.zeros((5, 3)))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"needs a LandmarkMap, not SegmentMap: load one by"):
         LandmarkLocalizer(SegmentMap.empty("geo", "geo-1", 7))  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "expected"),
     [
         ({"positions": THREE[:, :2]}, "positions must have shape"),
         ({"positions": THREE * np.nan}, "positions: row 0 is not finite"),
@@ -31,8 +31,8 @@ THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
         ({"stamp": math.inf}, "stamp must be finite"),
     ],
 )
-def test_wrong_landmarks_are_refused_in_one_line(wrong: dict[str, object], said: str) -> None:
-    with pytest.raises(InvalidScan, match=said) as caught:
+def test_wrong_landmarks_are_refused_in_one_line(wrong: dict[str, object], expected: str) -> None:
+    with pytest.raises(InvalidScan, match=expected) as caught:
         Landmarks(**{"positions": THREE, **wrong})  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
 

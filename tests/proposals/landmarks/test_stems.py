@@ -86,7 +86,7 @@ def test_circles_are_those_of_least_squares() -> None:
     found = fitted(Upright(np.column_stack([level, height]), height, counts), False)
     for k in range(3):
         centre, radius = circle_by_hand(level[which == k])
-        middle = found.feet[k, :2] + 2.0 * found.leans[k]  # two metres above ground
+        middle = found.feet[k, :2] + 2.0 * found.slopes[k]  # two metres above ground
         assert np.allclose(middle, centre, atol=0.02)
         assert found.diameters[k] == pytest.approx(2 * radius, abs=0.02)
 

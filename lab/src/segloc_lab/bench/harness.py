@@ -52,7 +52,7 @@ class Row:
     bound : str
         What the bound is.
     details : dict of str to float
-        Parts of our time, or figures beside it; each name says its unit.
+        Parts of our time, or figures beside it; each name ends with its unit.
     skipped : tuple of str
         Rivals that are not installed.
     """
@@ -362,7 +362,7 @@ class PlazaWalk:
 
 
 def local_cloud(points: int = 45_000, seed: int = 0) -> Float32:
-    """What stands within 50 m on a plaza, voxelised at 0.2 m, at most so many points, (N, 3)."""
+    """Return at most ``points`` points within 50 m on a plaza, voxelised at 0.2 m, (N, 3)."""
     rng = np.random.default_rng([seed, 78])
     shells = segments(100, 900, seed).astype(np.float64) * [1.0, 2.0, 1.0]
     places = rng.uniform(-50, 50, (len(shells), 1, 3)) * [1, 1, 0] + [0, 0, 2.0]

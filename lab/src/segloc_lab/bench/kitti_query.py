@@ -3,7 +3,7 @@
     python -m segloc_lab.bench.kitti_query DATA [--methods profile,geo] [--threads 1,2]
 
 The map is built of keyframes and padded with mirror images of itself; ``--segments 0`` is the map
-as it is. As many scans of other places are asked in it, and must be refused.
+as it is. The same number of scans from other places must be rejected.
 """
 
 from __future__ import annotations

@@ -177,9 +177,9 @@ def report(rows: Float64, names: list[str], models: dict[str, ErrorModel]) -> No
             continue
         deg = np.degrees(np.median(np.linalg.norm(some[:, 3:6], axis=1)))
         m = np.median(np.linalg.norm(some[:, 6:9], axis=1))
-        for said, model in models.items():
+        for label, model in models.items():
             shares = [f"{share:.0%}" for share in within(some, model).ravel()]
-            print(row(name, len(some), said, f"{deg:.2f}", f"{m:.3f}", *shares))
+            print(row(name, len(some), label, f"{deg:.2f}", f"{m:.3f}", *shares))
 
 
 def measured(first_seed: int, each: int, out: Path) -> None:

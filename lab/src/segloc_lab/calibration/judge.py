@@ -28,7 +28,7 @@ ALIKE = ("offices", "warehouse")
 Answers = list[dict[str, Any]]
 
 
-def judged(world: World, config: Config) -> dict[str, Any]:
+def answers_in(world: World, config: Config) -> dict[str, Any]:
     """Localize every query of a world in its maps."""
     places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
     answers = []
@@ -134,7 +134,7 @@ def main() -> None:
     done = {entry["world"] for entry in entries(args.out)} if args.out.exists() else set()
     for world in track(worlds_of(args.worlds)[args.first :: args.every], "worlds"):
         if world.name not in done:
-            keep(args.out, judged(world, config))
+            keep(args.out, answers_in(world, config))
     if not args.quiet:
         runs = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
         by = (("kind", "By kind"), ("map", "By map"), ("made", "By query"))

@@ -6,7 +6,7 @@ Wild and planted stands are mapped along a path and queried up to 16 m beside it
 of the stems within 8 to 28 m, with noise of 5 to 15 cm and up to 40 % false detections: in their
 own map, in its mirror image and in the map of another stand. Every query gets its best pose,
 believed or not; a logistic regression on the logarithms of its share, of its ratio to the rival and
-of its support says how likely it is to be right. Nothing real is among them.
+of its support gives the probability that it is right. Nothing real is among them.
 """
 
 from __future__ import annotations

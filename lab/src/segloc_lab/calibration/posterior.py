@@ -2,7 +2,7 @@ r"""Fit the posterior to rows of simulated worlds, and report what it finds and 
 
 For each query in each map (:mod:`.rows`) the classes are the distinct poses that were measured, and
 "not in this map": a conditional logit of :data:`segloc.likelihood.FEATURES` with a ridge, which is
-convex. All tables show worlds judged by a fit to other worlds. False answers come in clumps, a
+convex. All tables show worlds evaluated by a fit to other worlds. False answers come in clumps, a
 world at a time, so worlds are counted beside queries. Real recordings take no part.
 
 The rows of the shipped weights are kept beside this module; ``--join`` made them of those of single
@@ -177,7 +177,7 @@ def _scores(records: Records, weights: Float64) -> Float64:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Decisions:
     """The likeliest pose of each record: its log-odds, and whether it is right or false."""
 
     log_odds: Float64
@@ -185,7 +185,7 @@ class Judged:
     false: Mask
 
     @classmethod
-    def by(cls, records: Records, weights: Float64) -> Judged:
+    def by(cls, records: Records, weights: Float64) -> Decisions:
         """Judge records by a fit."""
         scores, rows = _scores(records, weights), np.arange(len(records))
         best = scores[:, :-1].argmax(axis=1)
@@ -195,8 +195,8 @@ class Judged:
         exists = records.poses[rows, best]
         return cls(log_odds, records.right[rows, best], records.false[rows, best] & exists)
 
-    def __getitem__(self, chosen: Mask) -> Judged:
-        return Judged(self.log_odds[chosen], self.right[chosen], self.false[chosen])
+    def __getitem__(self, chosen: Mask) -> Decisions:
+        return Decisions(self.log_odds[chosen], self.right[chosen], self.false[chosen])
 
     def threshold(self, false: int) -> float:
         """Return the log-odds above which ``false`` answers are false."""
@@ -204,7 +204,7 @@ class Judged:
         return float(worst[false]) if false < len(worst) else -np.inf
 
 
-def held_out(records: Records, groups: NDArray[Any]) -> Judged:
+def held_out(records: Records, groups: NDArray[Any]) -> Decisions:
     """Judge each group of records by a fit to all others."""
     log_odds = np.full(len(records), -np.inf)
     right, false = np.zeros((2, len(records)), bool)
@@ -212,9 +212,9 @@ def held_out(records: Records, groups: NDArray[Any]) -> Judged:
     for group in track(np.unique(groups), "held out"):
         here = groups == group
         weights = fit(records[~here], weights)
-        part = Judged.by(records[here], weights)
+        part = Decisions.by(records[here], weights)
         log_odds[here], right[here], false[here] = part.log_odds, part.right, part.false
-    return Judged(log_odds, right, false)
+    return Decisions(log_odds, right, false)
 
 
 def told_apart(records: Records) -> Mask:
@@ -229,38 +229,38 @@ def folds(records: Records) -> Int64:
     return records.world // len(KINDS) % FOLDS
 
 
-def found_table(runs: dict[str, tuple[Records, Judged]]) -> Table:
+def found_table(runs: dict[str, tuple[Records, Decisions]]) -> Table:
     """Count what is found at a few false answers, of each kind of world."""
     rows: list[tuple[Cell, ...]] = []
-    for name, (records, judged) in runs.items():
-        limits = [judged.threshold(count) for count in FALSE_AT]
+    for name, (records, decisions) in runs.items():
+        limits = [decisions.threshold(count) for count in FALSE_AT]
         for kind in (*KINDS, "all"):
             here = (records.kind == kind) | (kind == "all")
-            possible, right = records.right.any(axis=1) & here, judged.right & here
-            found = (int((right & (judged.log_odds > limit)).sum()) for limit in limits)
+            possible, right = records.right.any(axis=1) & here, decisions.right & here
+            found = (int((right & (decisions.log_odds > limit)).sum()) for limit in limits)
             rows.append((name, kind, int(possible.sum()), *found))
         rows.append((name, "log-odds", None, *(round(limit, 2) for limit in limits)))
     columns = ("held out", "kind", "right pose", *(f"found at {n} false" for n in FALSE_AT))
     return Table(columns, rows, title="Found, by the number of false answers")
 
 
-def confidence_table(runs: dict[str, tuple[Records, Judged]]) -> Table:
+def confidence_table(runs: dict[str, tuple[Records, Decisions]]) -> Table:
     """Count what is found and false at a confidence, by query and by world."""
     rows = [
-        (name, confidence, *_counted(records, judged, logit(confidence)))
-        for name, (records, judged) in runs.items()
+        (name, confidence, *_counted(records, decisions, logit(confidence)))
+        for name, (records, decisions) in runs.items()
         for confidence in CONFIDENCES
     ]
     columns = ("held out", "confidence", *COUNTED)
     return Table(columns, rows, WILSON, "Answers, by the confidence needed")
 
 
-def false_table(records: Records, judged: Judged, confidence: float) -> Table:
+def false_table(records: Records, decisions: Decisions, confidence: float) -> Table:
     """Count what is found and false at a confidence, of each map and kind of world."""
     parts = [(name, records.place == name) for name in MAPS]
     parts += [(name, records.kind == name) for name in KINDS]
     limit = logit(confidence)
-    rows = [(name, *_counted(records[here], judged[here], limit)) for name, here in parts]
+    rows = [(name, *_counted(records[here], decisions[here], limit)) for name, here in parts]
     title = f"Answers of confidence {confidence:g}, by map and kind"
     return Table(("map or kind", *COUNTED), rows, WILSON, title)
 
@@ -269,11 +269,11 @@ COUNTED = ("right pose", "found", "queries", "false", "at most", "worlds", "fals
 WILSON = "At most: upper ends of Wilson's 95 % intervals."
 
 
-def _counted(records: Records, judged: Judged, limit: float) -> Iterator[Cell]:
-    answered = judged.log_odds > limit
-    false = judged.false & answered
+def _counted(records: Records, decisions: Decisions, limit: float) -> Iterator[Cell]:
+    answered = decisions.log_odds > limit
+    false = decisions.false & answered
     yield int(records.right.any(axis=1).sum())
-    yield int((judged.right & answered).sum())
+    yield int((decisions.right & answered).sum())
     for all_of, bad in ((len(records), false.sum()), (_count(records), _count(records[false]))):
         yield all_of
         yield int(bad)
@@ -284,11 +284,11 @@ def _count(records: Records) -> int:
     return len(np.unique(records.world))
 
 
-def reliability_table(records: Records, judged: Judged) -> Table:
+def reliability_table(records: Records, decisions: Decisions) -> Table:
     """Compare probabilities with shares of wrong answers."""
-    p, alike = expit(judged.log_odds), np.isin(records.kind, ALIKE)
+    p, alike = expit(decisions.log_odds), np.isin(records.kind, ALIKE)
     rows = [
-        (name, f"{low:g} to {high:g}", *_bin(p, judged, chosen & (p >= low) & (p < high)))
+        (name, f"{low:g} to {high:g}", *_bin(p, decisions, chosen & (p >= low) & (p < high)))
         for name, chosen in (("all", np.ones(len(p), bool)), ("repeating", alike))
         for low, high in pairwise((*BINS[:-1], 1.0 + 1e-9))
     ]
@@ -296,17 +296,17 @@ def reliability_table(records: Records, judged: Judged) -> Table:
     return Table(columns, rows, f"Repeating: {', '.join(ALIKE)}.", "Reliability")
 
 
-def _bin(p: Float64, judged: Judged, here: Mask) -> Iterator[Cell]:
-    yield share(int((~judged.right & here).sum()), int(here.sum()))
+def _bin(p: Float64, decisions: Decisions, here: Mask) -> Iterator[Cell]:
+    yield share(int((~decisions.right & here).sum()), int(here.sum()))
     yield round(float((1.0 - p[here]).sum()), 2)
 
 
-def draw(judged: Judged, path: Path) -> None:
+def draw(decisions: Decisions, path: Path) -> None:
     """Draw the reliability diagram, and how many answers each bin holds."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    p, right = expit(judged.log_odds), judged.right
+    p, right = expit(decisions.log_odds), decisions.right
     figure = Figure(figsize=(5.2, 4.2), facecolor="white")
     FigureCanvasSVG(figure)
     axes, below = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
@@ -327,11 +327,11 @@ def draw(judged: Judged, path: Path) -> None:
     figure.savefig(path, metadata={"Date": None})
 
 
-def card(records: Records, judged: Judged, rows: Rows) -> dict[str, Any]:
+def card(records: Records, decisions: Decisions, rows: Rows) -> dict[str, Any]:
     """Describe the data, the command and the figures of a fit."""
     worlds = set(rows.world.tolist())
     seeds = sorted(int(name.rsplit("-", 1)[1]) for name in worlds)
-    found = {f"{c:g}": list(_counted(records, judged, logit(c)))[1:4:2] for c in CONFIDENCES}
+    found = {f"{c:g}": list(_counted(records, decisions, logit(c)))[1:4:2] for c in CONFIDENCES}
     return {
         "what": "Linear log-ratio of a pose against 'not in this map': a conditional logit",
         "command": command(),
@@ -371,12 +371,12 @@ def main() -> None:
     if args.join is not None:
         rows.save(args.join)
     records = records_of(rows)
-    judged = held_out(records, folds(records))
+    decisions = held_out(records, folds(records))
     apart = told_apart(records)
     runs = {
-        "worlds": (records, judged),
+        "worlds": (records, decisions),
         "kinds": (records, held_out(records, records.kind)),
-        "worlds, without half halls": (records[apart], judged[apart]),
+        "worlds, without half halls": (records[apart], decisions[apart]),
     }
     weights = fit(records)
     publish(
@@ -384,14 +384,14 @@ def main() -> None:
         "Fit of the posterior",
         found_table(runs),
         confidence_table(runs),
-        false_table(records, judged, VerificationConfig().min_confidence),
-        reliability_table(records, judged),
+        false_table(records, decisions, VerificationConfig().min_confidence),
+        reliability_table(records, decisions),
         weights_table(weights),
     )
     if args.figure is not None:
-        draw(judged, args.figure)
+        draw(decisions, args.figure)
     if args.out is not None:
-        write(args.out, weights, card(records, judged, rows))
+        write(args.out, weights, card(records, decisions, rows))
 
 
 if __name__ == "__main__":

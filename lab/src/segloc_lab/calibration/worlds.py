@@ -1,4 +1,4 @@
-"""Generate simulated worlds: maps and queries on which the posterior is fitted and judged.
+"""Generate simulated worlds: maps and queries on which the posterior is fitted and evaluated.
 
 One sensor maps each world in one session; several sensors return in another, in which a fifth of
 the objects have been replaced. Outdoors they ride on a car, in autumn; in warehouses and offices a

@@ -226,10 +226,10 @@ def _measured(
         raise ConfigError("no recording: pass --kitti DATA")
     if not (kitti / "keyframes").is_dir():
         raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
-    asked = ready(chosen(methods))
-    if asked.left_out:
-        note(asked.note())
-    return answers_of(asked.names, kitti, folder, say, verify, workers, draws or DRAWS)
+    selection = ready(chosen(methods))
+    if selection.left_out:
+        note(selection.note())
+    return answers_of(selection.names, kitti, folder, say, verify, workers, draws or DRAWS)
 
 
 _EXPLAINED = {

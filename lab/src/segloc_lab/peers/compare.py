@@ -113,15 +113,15 @@ def table(part: Part) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
 
 
 def _row(s: Score, queries: Clouds, groups: list[str]) -> tuple[Cell, ...]:
-    judged = math.isnan(s.threshold)
+    decides = math.isnan(s.threshold)
     place = s.queried & queries.within_coverage
     return (
         label(s.system),
         int(s.queried.sum()),
         *(found(s, queries, queries.group == group) for group in groups),
         int((s.taken & ~s.right).sum()),
-        None if judged else f"{int((s.right & place).sum())} of {int(place.sum())}",
-        "own verdict" if judged else f"{s.threshold:.3g}",
+        None if decides else f"{int((s.right & place).sum())} of {int(place.sum())}",
+        "own verdict" if decides else f"{s.threshold:.3g}",
         round(s.ms),
     )
 

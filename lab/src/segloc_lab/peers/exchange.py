@@ -91,7 +91,7 @@ class Gathering:
 class Answers:
     """One system's answers to the queries of a protocol.
 
-    A system with a verdict of its own says of each answer whether it believes it; the others give
+    A system with its own decision accepts or rejects each answer; the others give
     scores, and their threshold is set afterwards (see ``compare.py``).
     """
 
@@ -130,7 +130,7 @@ def run(
 ) -> None:
     """Answer the protocols that the command line names, by options that all systems share."""
     parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--every", type=int, default=1, help="one of so many queries")
+    parser.add_argument("--every", type=int, default=1, help="use every N-th query")
     options = parser.parse_args()
     for folder in options.folders:
         answer(folder, options)

@@ -173,7 +173,7 @@ def main() -> None:
     parsed.add_argument("out", type=Path)
     parsed.add_argument("protocols", nargs="+", help="accumulated, sparse, single, town, park")
     parsed.add_argument("--data", type=Path, help="folder of KITTI 00, for the first three")
-    parsed.add_argument("--every", type=int, default=1, help="keep every so many real queries")
+    parsed.add_argument("--every", type=int, default=1, help="keep every N-th real query")
     parsed.add_argument("--step", type=int, default=8, help="simulated scans between queries")
     options = parsed.parse_args()
     for protocol in options.protocols:

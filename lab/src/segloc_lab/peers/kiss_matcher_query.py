@@ -2,7 +2,7 @@
 
 It aligns two clouds and searches no map, so Scan Context names the places to try: the best few.
 A query is aligned with the view of such a place, not with the map joined from all views, where it
-finds far less. Its best pose is judged by its number of inliers, or as Scan Context's own poses
+finds far less. Its best pose is scored by its number of inliers, or as Scan Context's own poses
 are, by GICP and overlap.
 
     python -m segloc_lab.peers.kiss_matcher_query OUT/single --views scan

@@ -26,7 +26,7 @@ from ..report import parser
 
 
 class Recorded(KissSLAM):  # type: ignore[misc]
-    """KISS-SLAM that keeps what its loop closer was given and said.
+    """KISS-SLAM that records the inputs and outputs of its loop closer.
 
     Attributes
     ----------

@@ -5,8 +5,8 @@ are parked, other people about, and a share of the things that can be moved is r
 mapped path is driven again, in another lane, and then back in the opposite direction; all scans are
 queries, each by itself, and so are clouds accumulated by odometry that drifts. It is made harder by
 fewer beams, another sensor, and maps padded with other worlds of the same kind (as in ``city``).
-All methods see the same clouds, cut into the same segments, each with its own preset; each is asked
-with all that a localizer has, and by its segments alone. What is done is kept, a line a set.
+All methods get the same clouds and segments, each with its own preset, and localize with all
+proposers and by segments alone. Results are kept, one line per set.
 
     python -m segloc_lab.protocols.change                       # our method
     python -m segloc_lab.protocols.change --methods profile geo dsm --worlds town
@@ -118,7 +118,7 @@ def evaluations(
     }
 
 
-def asked(
+def query_results(
     ways: Mapping[str, MappedPlace], query_set: QuerySet, descriptors: Mapping[str, Descriptor]
 ) -> list[dict[str, Any]]:
     """Return the results of each method in each way as JSON values."""
@@ -249,7 +249,7 @@ def measure(args: argparse.Namespace) -> None:
         for drive in drives(world, args.seed, sensor, conditions).values():
             queries = query_sets(kept(drive, args.kept), args.every, args.accumulated_every)
             for clouds in found:
-                found[clouds] += asked(ways, queries[clouds], descriptors)
+                found[clouds] += query_results(ways, queries[clouds], descriptors)
         for each in left:
             for entry in found[each["clouds"]]:
                 keep(args.out, each | entry)

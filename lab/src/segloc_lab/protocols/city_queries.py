@@ -41,7 +41,7 @@ MEMORY_BYTES = 48_000_000
 """Size of the cache of tiles."""
 
 
-def asked(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
+def query_results(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
     """Results of the queries of some towns, with the cost of each; memory is of this process."""
     place, has_prior = way.split(", ")[0], way in ("prior", "elsewhere, prior")
     tiles = TiledMap(work / ("wide" if WIDE in way else "tiles"), memory_bytes=MEMORY_BYTES)
@@ -80,7 +80,7 @@ def main() -> None:
     options.add_argument("out", type=Path)
     options.add_argument("seeds", type=int, nargs="+", metavar="SEED", help="towns")
     args = options.parse_args()
-    args.out.write_text(json.dumps(asked(args.work, args.way, args.seeds)))
+    args.out.write_text(json.dumps(query_results(args.work, args.way, args.seeds)))
 
 
 if __name__ == "__main__":

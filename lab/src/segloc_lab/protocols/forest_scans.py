@@ -3,7 +3,7 @@
 Simulated forests are mapped in summer by an HDL-64E. In a later session, with most leaves gone and
 a fifth of what can be moved replaced, single scans of a VLP-16 are taken on the mapped path and 10
 and 20 m beside it, wherever there is room for a sensor, and clouds are accumulated along the path
-by odometry that drifts. Each query is also asked in the mirror image of its map and in the map of
+by odometry that drifts. Each query is also run in the mirror image of its map and in the map of
 another forest, where nothing is to be found.
 
     python -m segloc_lab.protocols.forest_scans

@@ -7,10 +7,10 @@ frame, and is driven once for the map: every eighth firing of an HDL-64E, a scan
 n-th is driven once more, with other parked cars, in another lane and partly the other way, and is
 queried there; towns that the map does not hold are queried, too, and whatever is found of these is
 false. A query is the cloud of the last 40 m, by noisy odometry. For time and memory queries are
-also asked in a thin map ten times as large, of copies of this one, each moved by noise.
+also queried in a thin map ten times as large, of copies of this one, each moved by noise.
 
 Whatever is finished is kept in WORK, so a run goes on where the last one ended, and ends before the
-limit by itself. Queries are asked by a fresh process that does nothing else: its processor time and
+limit by itself. Queries run in a fresh process that does nothing else: its processor time and
 its largest resident memory are measured. ``OUT --limit 0 --report FOLDER`` only reports what
 another machine measured.
 """
@@ -140,8 +140,8 @@ class City:
                 self.keep(**{way: json.loads(self._answers(way).read_text())})
 
     def _asking(self, way: str) -> subprocess.Popen[bytes]:
-        asked = [sys.executable, "-m", city_queries.__name__, str(self.work), way]
-        return subprocess.Popen([*asked, str(self._answers(way)), *map(str, self._seeds(way))])
+        command = [sys.executable, "-m", city_queries.__name__, str(self.work), way]
+        return subprocess.Popen([*command, str(self._answers(way)), *map(str, self._seeds(way))])
 
     def _answers(self, way: str) -> Path:
         return Path(self.work / f"answers, {way}.json")
@@ -232,8 +232,8 @@ def _scaled(known: dict[str, Any], most: int) -> list[Line]:
     ]
 
 
-def _answered(way: str, asked: dict[str, Any]) -> list[Line]:
-    answers = asked["answers"]
+def _answered(way: str, queried: dict[str, Any]) -> list[Line]:
+    answers = queried["answers"]
     outcomes = [answer["outcome"] for answer in answers]
     total, found, false = len(answers), outcomes.count("found"), outcomes.count("false")
 
@@ -251,7 +251,7 @@ def _answered(way: str, asked: dict[str, Any]) -> list[Line]:
         (f"{way}: search, tiles in memory", spread(again)),
         (
             f"{way}: most MB resident, and before the first query",
-            f"{asked['peak_mb']:.0f}, {asked['ready_mb']:.0f}",
+            f"{queried['peak_mb']:.0f}, {queried['ready_mb']:.0f}",
         ),
     ]
 

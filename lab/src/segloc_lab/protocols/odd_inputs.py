@@ -84,13 +84,13 @@ class CommandLine:
             self.close()
             return Outcome(kind, "", seconds)
         code, out, err = json.loads(line)
-        said = [text for text in (*err.splitlines(), *out.splitlines()) if text.strip()]
-        errors = [text for text in said if "error:" in text]
+        lines = [text for text in (*err.splitlines(), *out.splitlines()) if text.strip()]
+        errors = [text for text in lines if "error:" in text]
         if isinstance(code, str):
             return Outcome("traceback", code, seconds)
         refused = code != 0 and bool(errors)
-        found = [text for text in said if "problem:" in text or "wrong:" in text or "note:" in text]
-        shown = errors if refused else found or said
+        found = [s for s in lines if "problem:" in s or "wrong:" in s or "note:" in s]
+        shown = errors if refused else found or lines
         return Outcome("refused" if refused else "read", shown[0] if shown else "", seconds)
 
     def close(self) -> None:
@@ -190,9 +190,9 @@ def main() -> None:
             write_scan(scans / f"{k:04d}.npy", drive.scan(k).points)
         for path in paths:
             outcome = line.run(*words_for(path, scans))
-            said = outcome.line.replace(str(path.parent), path.parent.name)[:160].replace("|", "/")
+            text = outcome.line.replace(str(path.parent), path.parent.name)[:160].replace("|", "/")
             shown = f"{path.parent.name}/{path.name}"
-            rows.append([shown, outcome.kind, round(outcome.seconds, 1), said])
+            rows.append([shown, outcome.kind, round(outcome.seconds, 1), text])
     line.close()
     tables = [Table(("input", "ends", "s", "line"), rows, title="`segloc doctor` on each input")]
     if args.fuzz:

@@ -80,7 +80,7 @@ class Scenario:
         Scenarios that share a map have the same.
     world, query_world : callable
         Of a seed.
-    mapped, asked : Side
+    mapped, queried : Side
         Who maps, and who queries.
     expected : str
         "found", "ambiguous", "refused", or "any": right or refused.
@@ -91,7 +91,7 @@ class Scenario:
     map_name: str
     world: Make
     mapped: Side
-    asked: Side
+    queried: Side
     expected: str = "found"
     seeds: tuple[int, ...] = (11, 12, 13, 14)
     query_world: Make | None = None
@@ -116,7 +116,7 @@ class Scenario:
         found = []
         for nth, storey in enumerate(self.query_storeys):
             make = self.query_world or self.world
-            mapped, later = self._drives(make, seed, self.asked, storey)
+            mapped, later = self._drives(make, seed, self.queried, storey)
             ends = np.arange(len(later))
             if make is self.world:
                 away = distances_to_path(later.truth, mapped.truth)
@@ -124,7 +124,7 @@ class Scenario:
             share = -(-count // len(self.query_storeys))
             shift = (nth + 1) / (len(self.query_storeys) + 1)  # other places on each storey
             chosen = ends[((np.arange(share) + shift) / share * len(ends)).astype(int)]
-            found += [(_ending(later, i, self.asked.scans), _where(later, i)) for i in chosen]
+            found += [(_ending(later, i, self.queried.scans), _where(later, i)) for i in chosen]
         return found
 
     def _drives(self, make: Make, seed: int, side: Side, storey: int) -> list[SimulatedSequence]:
@@ -187,23 +187,23 @@ _CAR = Side("hdl64e", "car")
 _ALL = tuple(range(STOREYS))
 
 
-def _outdoors(asked: Side, length_m: float = 200.0) -> dict[str, Scenario]:
+def _outdoors(queried: Side, length_m: float = 200.0) -> dict[str, Scenario]:
     scenes = {"town": (41, 44), "park": (42,), "industrial": (43,), "forest": (45,)}
     return {
-        scene: Scenario(scene, SCENES[scene], _CAR, asked, seeds=seeds, length_m=length_m)
+        scene: Scenario(scene, SCENES[scene], _CAR, queried, seeds=seeds, length_m=length_m)
         for scene, seeds in scenes.items()
     }
 
 
-def _floors(differ: float, expected: str, asked: Side = _QUADRUPED) -> Scenario:
+def _floors(differ: float, expected: str, queried: Side = _QUADRUPED) -> Scenario:
     name = f"building-{differ:g}"
     seeds = (21, 22) if differ > 0.3 else (21,)
     five = {"storeys": _ALL, "query_storeys": _ALL, "seeds": seeds, "length_m": 140.0}
-    return Scenario(name, _storeys(differ), _OS0, asked, expected, **five)  # type: ignore[arg-type]
+    return Scenario(name, _storeys(differ), _OS0, queried, expected, **five)  # type: ignore[arg-type]
 
 
-def _own_rooms(asked: Side = _QUADRUPED) -> Scenario:
-    return replace(_floors(0.5, "found", asked), map_name="building-rooms", world=_divided)
+def _own_rooms(queried: Side = _QUADRUPED) -> Scenario:
+    return replace(_floors(0.5, "found", queried), map_name="building-rooms", world=_divided)
 
 
 def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
@@ -240,8 +240,8 @@ def scenarios() -> dict[str, Scenario]:
         "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(
             Side("mid360", "handheld", 10)
         ),
-        "one storey, asked on others: rooms of their own": _one_floor(_own_rooms()),
-        "four storeys, asked on the fifth: rooms of their own": _four_floors(_own_rooms()),
+        "one storey, queried on others: rooms of their own": _one_floor(_own_rooms()),
+        "four storeys, queried on the fifth: rooms of their own": _four_floors(_own_rooms()),
         "half of five storeys: rooms of their own": _half_of_each(_own_rooms()),
         "five storeys that differ": _floors(0.5, "found"),
         "five storeys that differ, handheld Mid-360, 1 s": _floors(
@@ -249,10 +249,10 @@ def scenarios() -> dict[str, Scenario]:
         ),
         "five storeys that differ a little": _floors(0.15, "found"),
         "five equal storeys": _floors(0.0, "ambiguous"),
-        "one storey, asked on others: differ": _one_floor(_floors(0.5, "found")),
-        "one storey, asked on others: differ a little": _one_floor(_floors(0.15, "found")),
-        "four storeys, asked on the fifth: differ": _four_floors(_floors(0.5, "found")),
-        "four storeys, asked on the fifth: differ a little": _four_floors(_floors(0.15, "found")),
+        "one storey, queried on others: differ": _one_floor(_floors(0.5, "found")),
+        "one storey, queried on others: differ a little": _one_floor(_floors(0.15, "found")),
+        "four storeys, queried on the fifth: differ": _four_floors(_floors(0.5, "found")),
+        "four storeys, queried on the fifth: differ a little": _four_floors(_floors(0.15, "found")),
         "mine, quadruped OS0-128": Scenario("mine", pits, _OS0, _QUADRUPED, "any"),
         "low ceilings: OS0-128 in a VLP-16 map": Scenario(
             "low", rooms, Side("vlp16", "wheeled"), _HANDHELD
@@ -407,8 +407,8 @@ def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
     causes = [r["cause"] for r in rows if "cause" in r]
     told = ", ".join(f"{causes.count(c)} {c}" for c in sorted(set(causes)))
     ms = round(float(np.median([r["ms"] for r in rows])))
-    asked = len(rows) if expected == "refused" else share(right, len(rows))
-    return name, expected, asked, len(false), floors, ambiguous, ms, told or None
+    queried = len(rows) if expected == "refused" else share(right, len(rows))
+    return name, expected, queried, len(false), floors, ambiguous, ms, told or None
 
 
 def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
@@ -425,7 +425,7 @@ def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
 def report(results: Mapping[str, list[Row]], folder: Path | None) -> None:
     """Publish the table."""
     note = (
-        "`profile`; in brackets 95 % by Wilson; where all should be refused, how many were asked. "
+        "`profile`; in brackets 95 % by Wilson; if all should be refused, the number of queries. "
         "Right: within 3 m and 5 degrees, and 1.5 m in height. Milliseconds of processor time of "
         "one thread, on a machine with other work."
     )

@@ -3,10 +3,10 @@
     python -m segloc_lab.protocols.trees DATA --out trees.jsonl
 
 DATA is a folder with ``trees.npz`` (rows of base, axis, diameter; offsets of the frames) and
-``poses.tum``. A query is one frame. Its map is made of all frames that lie more than 50 m of path
-behind it. It is a revisit where one of them was taken within 3 m. All is asked once as it is; once
-with half of the map's landmarks and half of the query's taken away, independently, and what is left
-moved at random by 0.1 m along each axis; and once, every eighth, in the mirror image of the map.
+``poses.tum``. A query is one frame. Its map has all frames more than 50 m of path behind it: a
+revisit, if one of them is within 3 m. Each query runs once unchanged, and once with half of the
+landmarks of the map and of the query removed independently and the others moved at random by 0.1 m
+along each axis. Every eighth also runs in the mirror image of the map.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class TestSet:
         return max(_MIN_M, self.share[scale] * self.length_m / len(self.tests))
 
     def sessions(self, scale: str = "small", *, seed: int = 0) -> dict[str, Sequence]:
-        """``map``, and ``test_0`` and so on; their scans are cast when asked for.
+        """``map``, and ``test_0`` and so on; their scans are cast on access.
 
         Parameters
         ----------

@@ -237,7 +237,7 @@ def _answer(T: Pose | None, truth: Pose, inliers: int) -> Answer:
 
 
 @dataclass(frozen=True)
-class Asked:
+class PosedQuery:
     """One query, its truth, and the start of its rows."""
 
     query: Query
@@ -245,7 +245,7 @@ class Asked:
     row: Mapping[str, Any]
 
 
-def queries(part: Part, descriptor: Descriptor) -> Iterator[Asked]:
+def queries(part: Part, descriptor: Descriptor) -> Iterator[PosedQuery]:
     """Yield the queries of a part, accumulated, segmented and described."""
     config = Config()
     segmenter = Segmenter(config.segmentation)
@@ -257,7 +257,7 @@ def queries(part: Part, descriptor: Descriptor) -> Iterator[Asked]:
             "keyframe": int(part.queried.indices[position]),
             "distance": round(float(distance), 2),
         }
-        yield Asked(Query(cloud, scene, descriptor.describe(scene.segments)), truth, row)
+        yield PosedQuery(Query(cloud, scene, descriptor.describe(scene.segments)), truth, row)
 
 
 TOLERANCE = Tolerance()
@@ -369,10 +369,10 @@ class Piece:
         part = PARTS[self.part](self.data).between(self.first + len(kept), self.stop)
         built = prior_map(part.mapped, self.method, self.folder / f"{self.part}.segmap")
         place, verify = Place(built, self.method, self.draws), self.verify and self.part == "test"
-        for asked in queries(part, create(self.method, 1)):
-            row = {**asked.row, **place.unverified(asked.query, asked.truth)}
+        for posed in queries(part, create(self.method, 1)):
+            row = {**posed.row, **place.unverified(posed.query, posed.truth)}
             if verify:
-                row.update(place.verified(asked.query, asked.truth))
+                row.update(place.verified(posed.query, posed.truth))
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         return self
@@ -458,9 +458,9 @@ class Kept:
     def pieces(self, data: Path, counts: Mapping[str, int]) -> list[Piece]:
         """Return all pieces of the method; ``counts`` are the queries of each part."""
         self._work.mkdir(parents=True, exist_ok=True)
-        asked = (bool(self.produced["verified"]), self.produced.get("draws", DRAWS))
+        posed = (bool(self.produced["verified"]), self.produced.get("draws", DRAWS))
         return [
-            Piece(self.method, part, first, stop, data, self._work, *asked)
+            Piece(self.method, part, first, stop, data, self._work, *posed)
             for part, count in counts.items()
             for first, stop in spans(count)
         ]

@@ -92,9 +92,9 @@ def train_forest(
     model.fit(features, pairs.same)
     trees = trees_of([estimator.tree_ for estimator in model.estimators_])
     held = descriptor.describe(validation.segments()).vectors
-    judged = candidates(held, validation, config, np.random.default_rng(config.seed))
-    trees = _keeping(trees, layout, held, judged, config)
-    scores = _scores(PairForest(trees, layout, descriptor.dim), held, judged, config)
+    pairs = candidates(held, validation, config, np.random.default_rng(config.seed))
+    trees = _keeping(trees, layout, held, pairs, config)
+    scores = _scores(PairForest(trees, layout, descriptor.dim), held, pairs, config)
     progress(f"{method}: {scores}")
     figures = {"training segments": len(training), "validation segments": len(validation)}
     text = {name: round(value, 4) for name, value in asdict(scores).items()}
@@ -153,14 +153,14 @@ def _rounded_down(thresholds: NDArray[np.float64]) -> Float32:
 
 
 def _keeping(
-    trees: Trees, layout: Layout, vectors: Float32, judged: Candidates, config: ForestConfig
+    trees: Trees, layout: Layout, vectors: Float32, pairs: Candidates, config: ForestConfig
 ) -> Trees:
     """Scale the odds so that pruning keeps ``config.right_kept`` of the correct candidates.
 
     Poses are estimated from the candidates kept, so lost correct ones matter. All odds are scaled
     by one factor, found by bisection.
     """
-    right = judged.only(judged.same)
+    right = pairs.only(pairs.same)
     low, high = -_MAX_ODDS, _MAX_ODDS
     for _ in range(_BISECTIONS if len(right.rows) else 0):
         middle = (low + high) / 2
@@ -179,10 +179,10 @@ def _weighed(trees: Trees, log_odds: float) -> Trees:
 
 
 def _scores(
-    forest: PairForest, vectors: Float32, judged: Candidates, config: ForestConfig
+    forest: PairForest, vectors: Float32, pairs: Candidates, config: ForestConfig
 ) -> ForestScores:
-    likely = forest.probability(vectors, vectors, judged.rows, judged.columns, config.threads)
-    right, wrong = likely[judged.same], np.sort(likely[~judged.same])
+    likely = forest.probability(vectors, vectors, pairs.rows, pairs.columns, config.threads)
+    right, wrong = likely[pairs.same], np.sort(likely[~pairs.same])
     below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
     auc = float(below.mean() / (2 * len(wrong))) if len(right) and len(wrong) else 0.5
     least = MatchingConfig().min_probability

@@ -343,7 +343,7 @@ def score_descriptor(
     wanted = list(pools) or sorted({0, len(padding) and len(dataset) + len(padding)})
     sums = [np.zeros(len(KS)) for _ in wanted]
     sizes = [0] * len(wanted)
-    asked = 0
+    queried = 0
     for session in np.unique(dataset.sessions):
         own = np.flatnonzero(dataset.sessions == session)
         rest = np.flatnonzero(dataset.sessions != session)
@@ -351,7 +351,7 @@ def score_descriptor(
         own = rng.permutation(own)[:_MAX_QUERIES]
         if len(own) == 0:
             continue
-        asked += len(own)
+        queried += len(own)
         for i, size in enumerate(wanted):
             more = padding[: max(0, size - len(rest))]
             pool = np.concatenate([vectors[rest], more])
@@ -359,5 +359,5 @@ def score_descriptor(
             found = recall_at_k(vectors[own], pool, dataset.labels[own], labels, KS, threads)
             sums[i] += found * len(own)
             sizes[i] = max(sizes[i], len(pool))
-    recalls = [(size, total / max(asked, 1)) for size, total in zip(sizes, sums, strict=True)]
-    return Report(auc_interval(vectors, dataset, seed=seed), recalls, asked)
+    recalls = [(size, total / max(queried, 1)) for size, total in zip(sizes, sums, strict=True)]
+    return Report(auc_interval(vectors, dataset, seed=seed), recalls, queried)

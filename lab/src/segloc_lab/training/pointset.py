@@ -19,7 +19,7 @@ from .config import TrainConfig, augment, reorder
 from .dataset import SegmentDataset, packed
 from .models import LAYERS, DescriptorNetwork, export, folded, neighbors_of
 from .pair_fitting import fit_pair_head, pair_loss
-from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, judged
+from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, held_out_quality
 
 
 class PointSetTask(Task):
@@ -75,7 +75,7 @@ class PointSetTask(Task):
         trained with the descriptor.
         """
         assert isinstance(network, DescriptorNetwork)
-        found = judged(self, network, training, held)
+        found = held_out_quality(self, network, training, held)
         fit_logistic(network.quality_head, found.vectors[found.known], found.right)
         if self.config.pair_weight > 0 and self.config.pair_training == "frozen":
             fit_pair_head(

@@ -28,7 +28,7 @@ from segloc.types import Float32
 
 from .config import TrainConfig, augment
 from .dataset import SegmentDataset, packed
-from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, judged
+from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, held_out_quality
 
 DIM = 32
 WIDTHS = (384, 256)
@@ -86,7 +86,7 @@ class ProfileTask(Task):
     def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
         """Fit the quality to the share of correct nearest descriptors, on held-out places."""
         assert isinstance(network, ProfileNetwork)
-        found = judged(self, network, training, held)
+        found = held_out_quality(self, network, training, held)
         rows = [np.empty((0, WIDTHS[-1]), np.float32)]
         with torch.inference_mode():
             for first in range(0, len(found.known), _AT_ONCE):

@@ -236,8 +236,8 @@ def create_task(config: TrainConfig) -> Task:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Segments that training did not see, and whether their nearest descriptor is right.
+class HeldOut:
+    """Held-out segments, and whether their nearest descriptor is right.
 
     Attributes
     ----------
@@ -245,9 +245,9 @@ class Judged:
         P segments.
     vectors : (P, dim) float32
     known : (K,) int64
-        The segments that another session shows, too.
+        Segments that another session contains.
     right : (K,) float32
-        1 where the nearest descriptor of another session is of the same object, 0 elsewhere.
+        1 if the nearest descriptor of another session is of the same object, else 0.
     """
 
     dataset: SegmentDataset
@@ -256,13 +256,13 @@ class Judged:
     right: Float32
 
 
-def judged(
+def held_out_quality(
     task: Task, network: nn.Module, training: SegmentDataset, held: SegmentDataset
-) -> Judged:
-    """How often the nearest descriptor is right, for up to ``quality_limit`` held-out segments.
+) -> HeldOut:
+    """Measure on up to ``quality_limit`` held-out segments whether the nearest descriptor is right.
 
-    On the training segments a network does better than it will do on a map. The nearest one is
-    looked for among the other sessions and as many training segments, a pool of the size of a map.
+    A network does better on its training segments than on a map. The nearest descriptor is searched
+    among the other sessions and as many training segments: a pool of the size of a map.
     """
     config = task.config
     dataset = held.limited(config.quality_limit, config.seed)
@@ -270,13 +270,13 @@ def judged(
     others = task.describe(network, training.limited(config.quality_limit, config.seed))
     right = nearest_is_right(vectors, dataset, config.threads, others)
     known = np.flatnonzero(~np.isnan(right))
-    return Judged(dataset, vectors, known, right[known])
+    return HeldOut(dataset, vectors, known, right[known])
 
 
 def fit_logistic(head: nn.Linear, vectors: Float32, right: NDArray[np.float32]) -> None:
     """Fit a linear head to (P, dim) vectors of which (P,) are right, 1, or wrong, 0.
 
-    A logistic regression; without any vectors the head says one half.
+    A logistic regression; without any vectors the output is one half.
     """
     x, y = torch.from_numpy(vectors), torch.from_numpy(right)
     nn.init.zeros_(head.weight)

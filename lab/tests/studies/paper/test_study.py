@@ -65,14 +65,14 @@ def test_a_finished_part_is_not_computed_again(tmp_path: Path) -> None:
 
 
 def test_a_damaged_part_is_computed_again_and_reported(tmp_path: Path) -> None:
-    said: list[str] = []
-    workspace = Workspace(tmp_path, say=said.append)
+    output: list[str] = []
+    workspace = Workspace(tmp_path, say=output.append)
     workspace.cached_json("part", {}, lambda: [1.25])
     (part,) = tmp_path.glob("cache/part-*")
     part.write_text("[1.2")
     assert workspace.cached_json("part", {}, lambda: [1.25]) == [1.25]
-    assert len(said) == 1 and "damaged, computed again" in said[0]
-    assert workspace.cached_json("part", {}, lambda: [9]) == [1.25] and len(said) == 1
+    assert len(output) == 1 and "damaged, computed again" in output[0]
+    assert workspace.cached_json("part", {}, lambda: [9]) == [1.25] and len(output) == 1
 
 
 def test_a_part_that_fails_leaves_nothing(tmp_path: Path) -> None:

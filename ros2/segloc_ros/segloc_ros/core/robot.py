@@ -345,7 +345,7 @@ class Robot:
             replies.append(OdometryReply.of(Transform(time_s, *frames, T), before))
             replies += self._moved(self.body.computed(time_s, T))
         if odometry.losses > lost and self._core is not None:
-            replies += self._tell([self._core.doubt(odometry.fault)])
+            replies += self._tell([self._core.report_lost_motion(odometry.fault)])
         return replies
 
     def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:

@@ -19,7 +19,7 @@ from ...system.budget import check_bytes, check_points, most_bytes, most_message
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-MOST_METADATA_BYTES = 1 << 20
+MAX_METADATA_BYTES = 1 << 20
 """Limit of a ROS 2 bag's metadata.yaml, and of a topic's quality-of-service profile in it."""
 MAX_GROWTH = 32
 """Limit of the compression ratio of a bag file; clouds shrink to a half or a third."""
@@ -108,7 +108,7 @@ class _Zstd:
 
 def check_metadata(text: str, what: str) -> None:
     """Reject YAML that takes minutes to parse: long or deeply nested."""
-    check_bytes(len(text), what, MOST_METADATA_BYTES)
+    check_bytes(len(text), what, MAX_METADATA_BYTES)
     deepest = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
     depth = 0
     for mark in _BRACKETS.findall(text):
@@ -210,7 +210,7 @@ def _check_magic(paths: tuple[Path, ...]) -> None:
     for path in paths:
         if not path.is_file():
             with (path / "metadata.yaml").open(encoding="utf-8", errors="replace") as text:
-                check_metadata(text.read(MOST_METADATA_BYTES + 1), "metadata.yaml")
+                check_metadata(text.read(MAX_METADATA_BYTES + 1), "metadata.yaml")
             continue
         with path.open("rb") as file:
             head = file.read(16)

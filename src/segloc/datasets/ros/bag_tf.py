@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import geometry
-from ...system.checks import MOST_METRES
+from ...system.checks import MAX_METRES
 from ...types import Float64, Pose
 from ..tracks import are_unit, quaternion_poses, rising
 from .bag_file import optional, seconds
@@ -104,7 +104,7 @@ def is_pose(values: list[float]) -> bool:
     """Return whether a row of position and quaternion is a finite, plausible pose."""
     numbers = np.array([values])
     with np.errstate(all="ignore"):
-        near = np.isfinite(numbers).all() and np.abs(numbers[0, :3]).max() <= MOST_METRES
+        near = np.isfinite(numbers).all() and np.abs(numbers[0, :3]).max() <= MAX_METRES
     return bool(near and are_unit(numbers[:, 3:])[0])
 
 

@@ -1,4 +1,4 @@
-"""Landmarks of one's own, such as tree stems: detections in, a pose out."""
+"""Localization by landmarks, such as tree stems, from any detector."""
 
 from .config import LandmarkConfig as LandmarkConfig
 from .landmark_map import LandmarkMap as LandmarkMap

@@ -1,4 +1,4 @@
-"""How many landmarks of a query lie on landmarks of the map at a pose, and where most do."""
+"""Number of query landmarks that lie on map landmarks at a pose, and refinement of the pose."""
 
 from __future__ import annotations
 
@@ -15,38 +15,37 @@ from .landmark_map import LandmarkMap
 from .landmarks import nearest
 
 _COARSE = 2.0
-"""Times the tolerance: within it lie the landmarks of a pose that is not refined yet."""
-_HOPELESS = 0.5
-"""Of the support of the first: with less, taken coarsely, a candidate is not refined."""
-_TIGHTENING = (2.0, 1.4, 1.0)
-"""Times the tolerance, from one step of the refinement to the next."""
-_FEWEST = 3
-_FEWEST_TILTED = 8
-"""Landmarks from which roll and pitch are fitted, too; below, the median axis says more."""
+"""Tolerance of an unrefined pose, in tolerances."""
+_MIN_RELATIVE_SUPPORT = 0.5
+"""Coarse support of a candidate to be refined, relative to the support of the first."""
+_TOLERANCE_STEPS = (2.0, 1.4, 1.0)
+"""Tolerance of each step of the refinement, in tolerances."""
+_MIN_PAIRS = 3
+_MIN_PAIRS_TILT = 8
+"""Fewest pairs to fit roll and pitch; with fewer, the median axis is more accurate."""
 _LEVER_M = 10.0
-"""So far along its axis from its foot is the point by which a landmark's lean is fitted: with 5 cm
-at the foot, as good as an axis known to 0.3 degrees. Chosen on the first half of the revisits of a
-real forest."""
+"""Height along the axis of the second point of a landmark, which fits the tilt. With an error of
+5 cm at the foot, it corresponds to an axis known to 0.3 degrees. Set on the first half of the
+revisits of a real forest."""
 _SHIFT_M = 8.0
-"""How far a pose is moved, along each axis, in search of a rival nearby."""
-_ENOUGH = 48
-"""Landmarks, those nearest to the sensor, that tell where a rival may be."""
+"""Largest shift along each axis in the search for a runner-up nearby."""
+_SHIFT_LANDMARKS = 48
+"""Landmarks, those nearest to the sensor, of that search."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a query lies on the map at a pose.
+    """Fit of a query to a map of landmarks at a pose.
 
     Attributes
     ----------
     T_map_local : (4, 4) float64
     inliers : int
-        Landmarks of the query that lie on one of the map, each on another one.
+        Landmarks of the query that lie on distinct landmarks of the map.
     support : float
-        The sum over them of 1 - (distance / tolerance)^2: what lies there by chance lies at the
-        rim, and counts half.
+        Their sum of 1 - (distance / tolerance)^2; an inlier by chance counts half on average.
     rmse : float
-        Root mean square of their horizontal distances, metres.
+        Root mean square of their horizontal distances [m].
     """
 
     T_map_local: Pose
@@ -56,7 +55,7 @@ class Agreement:
 
 
 class MapLandmarks:
-    """The landmarks of a map, ready to be compared with those of queries.
+    """Search structure of the landmarks of a map.
 
     Parameters
     ----------
@@ -70,42 +69,42 @@ class MapLandmarks:
         self._tree = cKDTree(prior_map.positions[:, :2])
 
     def best(self, query: Float64, candidates: Sequence[Candidate]) -> list[Agreement]:
-        """The most promising candidates refined, the best supported first.
+        """Refine the most promising candidates, and return them by falling support.
 
-        Those that have far less support than the first are not refined: a pose that is moved by a
-        metre does not gain that much.
+        Candidates with far less support than the first are not refined: refinement by a metre does
+        not gain that much.
 
         Parameters
         ----------
         query : (N, 7) float64
-            Positions, axes and diameters in the local frame.
+            Positions, axes and diameters, local frame.
         candidates : sequence of Candidate
         """
         rough = self._coarse(query, candidates)
         order = np.argsort(-rough, kind="stable")[: self._config.max_refined]
         refined = [self.refined(query, candidates[order[0]].T_map_local)]
         for k in order[1:]:
-            if rough[k] >= _HOPELESS * refined[0].support:
+            if rough[k] >= _MIN_RELATIVE_SUPPORT * refined[0].support:
                 refined.append(self.refined(query, candidates[k].T_map_local))
         return sorted(refined, key=lambda found: -found.support)
 
     def refined(self, query: Float64, T_map_local: Pose) -> Agreement:
-        """The pose near a given one at which (N, 7) landmarks lie best on those of the map."""
+        """Refine a pose so that (N, 7) landmarks fit those of the map."""
         T = T_map_local
-        for step in _TIGHTENING:
+        for step in _TOLERANCE_STEPS:
             rows, mapped, _ = self._pairs(query, T, step * self._config.tolerance)
-            if len(rows) < _FEWEST:
+            if len(rows) < _MIN_PAIRS:
                 break
             T = self._fitted(query[rows], mapped)
         return self._at(query, T)
 
     def shifted(self, query: Float64, found: Agreement) -> Agreement | None:
-        """The best pose with the same heading a few metres away: what rows of a plantation make.
+        """Return the best pose a few metres away with the same heading, as in a plantation.
 
-        None where too few landmarks would lie on the map there.
+        None if too few landmarks lie on the map there.
         """
         T_map_local = found.T_map_local
-        inner = np.argsort(np.hypot(query[:, 0], query[:, 1]), kind="stable")[:_ENOUGH]
+        inner = np.argsort(np.hypot(query[:, 0], query[:, 1]), kind="stable")[:_SHIFT_LANDMARKS]
         x, y = geometry.transform(T_map_local, query[inner, :3])[:, :2].T
         u, v = self._positions[:, :2].T
         near = (u > x.min() - _SHIFT_M) & (u < x.max() + _SHIFT_M)
@@ -114,14 +113,14 @@ class MapLandmarks:
         elsewhere = (np.abs(along) < _SHIFT_M) & (np.abs(across) < _SHIFT_M)
         elsewhere &= along**2 + across**2 > (_COARSE * self._config.tolerance) ** 2
         shift, count = _densest(along[elsewhere], across[elsewhere], self._config.tolerance)
-        if count * len(query) < _HOPELESS * found.support * len(inner):
+        if count * len(query) < _MIN_RELATIVE_SUPPORT * found.support * len(inner):
             return None
         T = T_map_local.copy()
         T[:2, 3] += shift
         return self.refined(query, T)
 
     def _coarse(self, query: Float64, candidates: Sequence[Candidate]) -> Float64:
-        """Support of each candidate where it stands; here a map's landmark may count twice."""
+        """Return the support of each unrefined candidate; a map landmark may count twice."""
         tolerance = _COARSE * self._config.tolerance
         positions = query[:, :3]
         moved = np.array([geometry.transform(c.T_map_local, positions)[:, :2] for c in candidates])
@@ -133,26 +132,26 @@ class MapLandmarks:
         tolerance = self._config.tolerance
         _, mapped, distances = self._pairs(query, T_map_local, tolerance)
         order = np.argsort(distances, kind="stable")
-        _, first = np.unique(mapped[order], return_index=True)  # each with the nearest
+        _, first = np.unique(mapped[order], return_index=True)  # the nearest of each
         distances = distances[order[first]]
         rmse = float(np.sqrt(np.mean(distances**2))) if len(distances) else 0.0
         support = float((1 - (distances / tolerance) ** 2).sum())
         return Agreement(T_map_local, len(distances), support, rmse)
 
     def _fitted(self, query: Float64, mapped: Int64) -> Pose:
-        """The pose at which pairs lie on each other, with their feet and, if many, their tips."""
+        """Fit the pose to pairs by their feet and, if there are enough, their axes."""
         feet = query[:, :3]
-        if len(query) < _FEWEST_TILTED:
+        if len(query) < _MIN_PAIRS_TILT:
             return _level(feet, self._positions[mapped])
         source = np.concatenate([feet, feet + _LEVER_M * query[:, 3:6]])
         target = np.concatenate([self._positions[mapped], self._tips[mapped]])
-        # A foot is known better than a tip: the axes say how the sensor is tilted, no more.
+        # Feet are more accurate than tips: the axes fix the tilt only.
         T = _rigid(source, target)
         T[:3, 3] = self._positions[mapped].mean(axis=0) - T[:3, :3] @ feet.mean(axis=0)
         return T
 
     def _pairs(self, query: Float64, T: Pose, radius: float) -> tuple[Int64, Int64, Float64]:
-        """Landmarks of the query with the nearest of the map, and their distances."""
+        """Return query landmarks, their nearest map landmarks, and the distances."""
         moved = geometry.transform(T, query[:, :3])
         distances, mapped = nearest(self._tree, moved[:, :2], within=radius)
         rows = np.flatnonzero(np.isfinite(distances))
@@ -162,7 +161,7 @@ class MapLandmarks:
 
 
 def _rigid(source: Float64, target: Float64) -> Pose:
-    """The rigid transform that takes (N, 3) points to others with the least squares."""
+    """Return the least-squares rigid transform between (N, 3) points."""
     middles = source.mean(axis=0), target.mean(axis=0)
     products = (target - middles[1]).T @ (source - middles[0])
     R = geometry.orthonormal(geometry.rigid(products, np.zeros(3)))[:3, :3]
@@ -170,7 +169,7 @@ def _rigid(source: Float64, target: Float64) -> Pose:
 
 
 def _level(source: Float64, target: Float64) -> Pose:
-    """The same with a turn about z alone."""
+    """Return the least-squares transform with a rotation about z alone."""
     middles = source.mean(axis=0), target.mean(axis=0)
     (ax, ay, _), (bx, by, _) = (source - middles[0]).T, (target - middles[1]).T
     yaw = np.arctan2(float((ax * by - ay * bx).sum()), float((ax * bx + ay * by).sum()))
@@ -179,7 +178,7 @@ def _level(source: Float64, target: Float64) -> Pose:
 
 
 def _densest(along: Float64, across: Float64, cell: float) -> tuple[Float64, int]:
-    """Where most of so many shifts lie within two by two cells, and how many."""
+    """Return the centre of the two by two cells with most shifts, and their number."""
     size = 2 * int(np.ceil(_SHIFT_M / cell)) + 1
     column, line = (((d + _SHIFT_M) / cell).astype(np.int64) for d in (along, across))
     counts = np.bincount(column * size + line, minlength=size * size)

@@ -1,4 +1,4 @@
-"""How landmarks are merged, matched and judged."""
+"""Configuration of stems and of landmark localization."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class StemConfig(Section):
     enabled: bool = Field(
         True, description="search by stems, poles and columns if segments are inconclusive"
     )
-    fewest: int = Field(6, ge=3, le=1000, description="stems that a query needs")
+    fewest: int = Field(6, ge=3, le=1000, description="fewest stems of a query")
     most: int = Field(
         20_000, ge=3, le=10**6, description="most stems of a map, those with most points first"
     )
@@ -32,33 +32,31 @@ class StemConfig(Section):
     link_m: float = Field(
         0.3, gt=0, le=5, description="largest offset of a stem from slice to slice"
     )
-    fewest_points: int = Field(4, ge=3, le=10_000, description="least points of a stem")
-    least_length_m: float = Field(0.9, gt=0, le=50, description="least visible length of a stem")
+    fewest_points: int = Field(4, ge=3, le=10_000, description="fewest points of a stem")
+    least_length_m: float = Field(0.9, gt=0, le=50, description="shortest visible length of a stem")
 
 
 class Effort(Section):
-    """How many matches are looked for."""
+    """Effort of one attempt at matching."""
 
     neighbours: int = Field(
-        4, ge=2, le=32, description="a landmark makes triangles with pairs of so many around it"
+        4, ge=2, le=32, description="neighbours of a landmark that form triangles with it"
     )
-    alike: int = Field(1, ge=1, le=100, description="map triangles proposed for each")
+    alike: int = Field(1, ge=1, le=100, description="map triangles matched to each triangle")
     most_landmarks: int = Field(
-        32, ge=3, le=10_000, description="of a query: those nearest to the sensor"
+        32, ge=3, le=10_000, description="most landmarks of a query, those nearest to the sensor"
     )
-    most_matches: int = Field(400, ge=3, le=30_000, description="the best ones are kept")
-    most_candidates: int = Field(6, ge=1, le=1000, description="poses that are compared")
+    most_matches: int = Field(400, ge=3, le=30_000, description="most matches, the best first")
+    most_candidates: int = Field(6, ge=1, le=1000, description="most poses compared with the map")
 
 
 class LandmarkConfig(Section):
-    """All settings of landmarks."""
+    """Configuration of landmark maps and localization."""
 
     merge_radius: float = Field(
         0.5, gt=0, le=10, description="detections closer than this are one landmark, metres"
     )
-    min_views: int = Field(
-        2, ge=1, le=1000, description="landmarks seen less often are left out of the map"
-    )
+    min_views: int = Field(2, ge=1, le=1000, description="fewest views of a landmark of a map")
     efforts: tuple[Effort, ...] = Field(
         (
             Effort(),
@@ -67,20 +65,25 @@ class LandmarkConfig(Section):
             ),
         ),
         min_length=1,
-        description="one after the other, until a pose is believed or is ambiguous",
+        description="attempts, until a pose is accepted or ambiguous",
     )
-    key_noise_m: float = Field(0.2, gt=0, le=10, description="of the sides of a triangle")
-    key_noise_height_m: float = Field(0.5, gt=0, le=10, description="of differences of height")
-    key_noise_diameter_m: float = Field(0.1, gt=0, le=10, description="of diameters")
+    key_noise_m: float = Field(0.2, gt=0, le=10, description="noise of the sides of a triangle")
+    key_noise_height_m: float = Field(0.5, gt=0, le=10, description="noise of height differences")
+    key_noise_diameter_m: float = Field(0.1, gt=0, le=10, description="noise of diameters")
     most_key_noise: float = Field(
-        4.0, gt=0, le=100, description="triangles that differ by more of it do not match"
+        4.0,
+        gt=0,
+        le=100,
+        description="largest difference of matching triangles, in units of their noise",
     )
     pose: PoseConfig = PoseConfig(max_candidates=24)
     tolerance: float = Field(
-        0.5, gt=0, le=10, description="a landmark lies on one of the map below this, metres"
+        0.5, gt=0, le=10, description="largest horizontal residual of an inlier, metres"
     )
-    height_tolerance: float = Field(2.0, gt=0, le=100, description="the same along z, metres")
-    max_refined: int = Field(4, ge=2, le=100, description="candidates that are refined")
+    height_tolerance: float = Field(
+        2.0, gt=0, le=100, description="largest vertical residual of an inlier, metres"
+    )
+    max_refined: int = Field(4, ge=2, le=100, description="most candidates refined")
     min_confidence: float = Field(
-        0.99, ge=0, le=1, description="probability above which a pose is believed"
+        0.99, ge=0, le=1, description="least probability of an accepted pose"
     )

@@ -1,4 +1,4 @@
-"""The map of landmarks: what was seen from several poses, each thing once."""
+"""The map of landmarks: detections from several poses, each landmark once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ...errors import MapFormatError, SeglocError
 from ...map import file as mapfile
-from ...system.checks import MOST_METRES, check_finite, checked_pose, checked_rows
+from ...system.checks import MAX_METRES, check_finite, checked_pose, checked_rows
 from ...types import Float64, Int64
 from .config import LandmarkConfig
 from .landmarks import Landmarks, nearest
@@ -20,12 +20,12 @@ from .landmarks import Landmarks, nearest
 DESCRIPTOR, FINGERPRINT = "landmarks", "landmarks-1"
 _VOXEL_M = 0.3  # of the cloud, which has no points
 _SQUEEZED = np.array([1.0, 1.0, 0.2])
-"""Where a stem leaves the ground is known worse than where it stands."""
+"""Scale of distances: the height of a stem's foot is less certain than its position."""
 
 
 @dataclass(frozen=True)
 class LandmarkMap:
-    """Landmarks in one frame whose z axis points up. Made by :class:`LandmarkMapper` or loaded.
+    """Landmarks in one frame with a vertical z axis. Built by :class:`LandmarkMapper` or loaded.
 
     Attributes
     ----------
@@ -35,14 +35,14 @@ class LandmarkMap:
     diameters : (M,) float64
         Metres.
     views : (M,) int64
-        How often each was seen.
+        Number of views of each.
     trajectory : (V, 4, 4) float64
         T_map_sensor of each view.
 
     Raises
     ------
     InvalidScan
-        If shapes do not fit, or a value is not finite or beyond all reason.
+        If shapes do not fit, or a value is not finite or too large.
     """
 
     positions: Float64
@@ -53,7 +53,7 @@ class LandmarkMap:
 
     def __post_init__(self) -> None:
         positions = checked_rows(self.positions, "positions", (-1, 3), np.float64)
-        check_finite(positions, "positions", MOST_METRES)
+        check_finite(positions, "positions", MAX_METRES)
         count = len(positions)
         columns = {
             "positions": positions,
@@ -72,12 +72,12 @@ class LandmarkMap:
     def build(
         cls, views: Iterable[tuple[Landmarks, ArrayLike]], config: LandmarkConfig | None = None
     ) -> LandmarkMap:
-        """A map of landmarks seen from known poses.
+        """Build a map from landmarks detected at known poses.
 
         Parameters
         ----------
         views : iterable of (Landmarks, (4, 4) array)
-            What was seen, and T_map_sensor, where the map's z axis points up.
+            Landmarks of each view, and T_map_sensor; the map's z axis is vertical.
         config : LandmarkConfig, optional
         """
         mapper = LandmarkMapper(config)
@@ -86,7 +86,7 @@ class LandmarkMap:
         return mapper.map()
 
     def save(self, path: str | Path) -> None:
-        """Write a ``.segmap`` file, whole or not at all.
+        """Write a ``.segmap`` file atomically.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class LandmarkMap:
         Raises
         ------
         MapFormatError
-            If it cannot be read, or is a map of something else.
+            If it cannot be read, or is not a map of landmarks.
         """
         contents = mapfile.read(path)
         if contents.fingerprint != FINGERPRINT or contents.arrays["vectors"].shape[1] != 4:
@@ -127,7 +127,7 @@ class LandmarkMap:
 
 
 class LandmarkMapper:
-    """Makes a map of landmarks view by view.
+    """Builds a map of landmarks view by view.
 
     Parameters
     ----------
@@ -140,21 +140,21 @@ class LandmarkMapper:
         self._trajectory: list[Float64] = []
 
     def add(self, landmarks: Landmarks, T_map_sensor: ArrayLike) -> None:
-        """Add what was seen from one pose.
+        """Add the landmarks of one view.
 
         Raises
         ------
         SeglocError
-            If it is given something else than landmarks and a rigid pose.
+            If the arguments are not landmarks and a rigid pose.
         """
         if not isinstance(landmarks, Landmarks):
-            raise SeglocError(f"a map is made of Landmarks, not of {type(landmarks).__name__}")
+            raise SeglocError(f"a view must be Landmarks, not {type(landmarks).__name__}")
         T = checked_pose(T_map_sensor, "T_map_sensor")
         self._merger.add(landmarks.moved(T))
         self._trajectory.append(T)
 
     def map(self) -> LandmarkMap:
-        """The landmarks seen so far, without those that too few views show."""
+        """Return the map of all landmarks with enough views."""
         columns, views = self._merger.merged()
         keep = views >= self._config.min_views
         columns = columns[keep]
@@ -163,12 +163,12 @@ class LandmarkMapper:
 
 
 class Merger:
-    """Means of detections that lie close together, view by view.
+    """Merges nearby detections of several views into means.
 
     Parameters
     ----------
     radius : float
-        Detections within it of a mean are of the same thing, metres; five times as far along z.
+        Largest distance of a detection from its mean [m]; five times as far along z.
     """
 
     def __init__(self, radius: float) -> None:
@@ -177,7 +177,7 @@ class Merger:
         self._views = np.empty(0, np.int64)
 
     def add(self, columns: Float64) -> None:
-        """Add the landmarks of one view: each mean takes one of them, the nearest.
+        """Add the landmarks of one view; each mean takes the nearest one.
 
         Parameters
         ----------
@@ -193,9 +193,9 @@ class Merger:
         self._views = np.concatenate([self._views, np.ones(int(new.sum()), np.int64)])
 
     def merged(self) -> tuple[Float64, Int64]:
-        """Means, (M, 7), and numbers of views, (M,), after means that have met were joined.
+        """Return means, (M, 7), and numbers of views, (M,), after joining means within the radius.
 
-        The one that was seen most often takes all within the radius.
+        The mean with most views absorbs the others.
         """
         means, views = self._means.copy(), self._views.copy()
         alive = np.ones(len(views), bool)
@@ -210,7 +210,7 @@ class Merger:
         return _normalised(means[alive]), views[alive]
 
     def _nearest(self, columns: Float64) -> tuple[Int64, Int64]:
-        """Which of the landmarks are known, and as which mean; one each, the nearest."""
+        """Return the landmarks with a mean nearby, and that mean; the nearest landmark of each."""
         if not len(self._means) or not len(columns):
             return np.empty(0, np.int64), np.empty(0, np.int64)
         tree = cKDTree(self._means[:, :3] * _SQUEEZED)
@@ -221,7 +221,7 @@ class Merger:
         return rows[first], found.astype(np.int64)
 
     def _neighbours(self) -> list[tuple[int, list[int]]]:
-        """Means that have others within the radius, the one most often seen first."""
+        """Return means with others within the radius, that with most views first."""
         if not len(self._means):
             return []
         tree = cKDTree(self._means[:, :3] * _SQUEEZED)

@@ -1,4 +1,4 @@
-"""Landmarks of one query or one view: where upright things stand, how they lean, how thick."""
+"""Landmarks of a query or view: positions, axes and diameters of upright objects."""
 
 from __future__ import annotations
 
@@ -9,33 +9,32 @@ from scipy.spatial import cKDTree
 
 from ... import geometry
 from ...errors import InvalidScan
-from ...system.checks import MOST_LOCAL_METRES, check_finite, checked_rows, checked_stamp
+from ...system.checks import MAX_LOCAL_METRES, check_finite, checked_rows, checked_stamp
 from ...types import Float64, Int64, Pose
 
-MOST_DIAMETER_M = 100.0
+MAX_DIAMETER_M = 100.0
 
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Upright things that a detector of one's own has found: stems, poles, columns.
+    """Upright objects from any detector: stems, poles, columns.
 
     Attributes
     ----------
     positions : (N, 3) float64
-        Where each stands on the ground, sensor frame, metres.
+        Foot of each on the ground, sensor frame [m].
     axes : (N, 3) float64
-        Its direction upwards, of any length; all (0, 0, 1) by default, which says that the sensor
-        is level. Stored with length 1.
+        Upward direction of each, of any length; (0, 0, 1) by default, for a level sensor. Stored
+        with length 1.
     diameters : (N,) float64
-        Metres; all 0 by default, which says that they are not known.
+        Diameters [m]; 0 by default, for unknown.
     stamp : float or None
-        Time of the scan they were found in, seconds.
+        Time of the scan [s].
 
     Raises
     ------
     InvalidScan
-        If shapes do not fit, or a value is not finite or beyond all reason; names the field and
-        the row.
+        If shapes do not fit, or a value is not finite or too large; names the field and the row.
     """
 
     positions: Float64
@@ -45,13 +44,13 @@ class Landmarks:
 
     def __post_init__(self) -> None:
         positions = checked_rows(self.positions, "positions", (-1, 3), np.float64)
-        check_finite(positions, "positions", MOST_LOCAL_METRES)
+        check_finite(positions, "positions", MAX_LOCAL_METRES)
         count = len(positions)
         diameters = np.zeros(count) if self.diameters is None else self.diameters
         diameters = checked_rows(diameters, "diameters", (count,), np.float64)
-        bad = np.flatnonzero((diameters < 0) | (diameters > MOST_DIAMETER_M))
+        bad = np.flatnonzero((diameters < 0) | (diameters > MAX_DIAMETER_M))
         if len(bad):
-            raise InvalidScan(f"diameters: row {bad[0]} is not from 0 to {MOST_DIAMETER_M:g} m")
+            raise InvalidScan(f"diameters: row {bad[0]} is not from 0 to {MAX_DIAMETER_M:g} m")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "axes", _directions(self.axes, count))
         object.__setattr__(self, "diameters", diameters)
@@ -61,15 +60,15 @@ class Landmarks:
         return len(self.positions)
 
     def moved(self, T: Pose) -> Float64:
-        """Positions, axes and diameters in the frame that T leads to, (N, 7) float64."""
+        """Return positions, axes and diameters in the target frame of T, (N, 7) float64."""
         turned = self.directions @ T[:3, :3].T
-        assert self.diameters is not None  # set at the door
+        assert self.diameters is not None  # set by __post_init__
         return np.column_stack([geometry.transform(T, self.positions), turned, self.diameters])
 
     @property
     def directions(self) -> Float64:
-        """The axes; those that were left out point up. (N, 3) float64."""
-        assert self.axes is not None  # set at the door
+        """The axes, (N, 3) float64; vertical by default."""
+        assert self.axes is not None  # set by __post_init__
         return self.axes
 
 
@@ -87,9 +86,9 @@ def _directions(axes: Float64 | None, count: int) -> Float64:
 
 
 def levelling(axes: Float64) -> Pose:
-    """T_local_sensor: the turn after which the median of the axes points up.
+    """Return T_local_sensor: the rotation that makes the median of the axes vertical.
 
-    The sensor's heading stays the x axis's. Without axes the sensor counts as level.
+    The heading of the x axis is kept. Without axes the sensor counts as level.
 
     Parameters
     ----------
@@ -100,34 +99,34 @@ def levelling(axes: Float64) -> Pose:
         return np.eye(4)
     up = np.median(axes, axis=0)
     length = float(np.linalg.norm(up))
-    if length < _LEAST_UP or up[2] < _LEAST_UP * length:
-        return np.eye(4)  # they point all ways, or lie: nothing is known of gravity
+    if length < _MIN_UP or up[2] < _MIN_UP * length:
+        return np.eye(4)  # axes in all directions, or lying: gravity is unknown
     return geometry.upright(up)
 
 
-_LEAST_UP = 0.2
-"""Of the length of the median, and of its vertical part: 78 degrees off level."""
+_MIN_UP = 0.2
+"""Least length of the median, and least share of its vertical part: 78 degrees of tilt."""
 
 
 def nearest(
     tree: cKDTree, points: Float64, count: int = 1, within: float = np.inf
 ) -> tuple[Float64, Int64]:
-    """Distances of points to their nearest ones in a tree, and which those are.
+    """Return the distances of points to their nearest neighbours in a tree, and their indices.
 
     Parameters
     ----------
     tree : cKDTree
-        Of D-dimensional points.
+        Tree of D-dimensional points.
     points : (..., D) float64
     count : int
-        How many for each.
+        Number of neighbours.
     within : float
-        Farther ones are at infinity.
+        Largest distance; farther neighbours are at infinity.
 
     Returns
     -------
     (..., count) float64, (..., count) int64
-        Without the last axis where ``count`` is 1.
+        Without the last axis if ``count`` is 1.
     """
     distances, which = tree.query(points, count, distance_upper_bound=within)
     return np.asarray(distances, np.float64), np.asarray(which, np.int64)

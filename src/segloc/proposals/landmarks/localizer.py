@@ -1,4 +1,4 @@
-"""Landmarks -> triangles -> matches -> poses -> posterior, on one page."""
+"""Landmarks -> triangles -> matches -> poses -> posterior."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from .landmarks import Landmarks, levelling
 from .triangles import TriangleIndex
 
 _NEARBY = Separation(metres=1.0, degrees=5.0)
-"""Rivals of a pose are at least so far from it: rows of trees may stand 2 m apart."""
+"""Least separation of a runner-up: rows of trees may be 2 m apart."""
 _CHANCE_SUPPORT = 3.0
-"""What some wrong place of a map has almost always; a rival is not taken to have less."""
+"""Support of some wrong place of a map by chance: the least support of a runner-up."""
 _WEIGHTS = (0.96, 6.21, 11.83, 0.13)
-"""Log-ratio of a pose: a constant, and weights of the logarithms of its share, of its ratio to the
-rival, and of its support. Fitted by ``segloc_lab.calibration.landmarks``."""
-_LEAST = 1e-3
+"""Weights of a pose's log-ratio: a constant, and the logarithms of its share, of its ratio to the
+runner-up, and of its support. Fitted by ``segloc_lab.calibration.landmarks``."""
+_MIN_VALUE = 1e-3
 
 
 class LandmarkLocalizer:
-    """Finds the pose of the sensor in a map of landmarks, with no initial guess.
+    """Finds the pose of the sensor in a map of landmarks, without an initial guess.
 
     Parameters
     ----------
     prior_map : LandmarkMap
     config : LandmarkConfig, optional
     clock : callable
-        What the times of the stages are measured by; returns seconds.
+        Clock of the times of stages; returns seconds.
 
     Raises
     ------
     ConfigError
-        If it is given something else than a map of landmarks.
+        If the map is not a map of landmarks.
 
     Notes
     -----
-    Any number of threads may use one localizer at once: queries change nothing in it.
+    Thread-safe: queries do not change it.
     """
 
     def __init__(
@@ -70,20 +70,20 @@ class LandmarkLocalizer:
         self._map = MapLandmarks(prior_map, self.config)
 
     def localize(self, landmarks: Landmarks) -> Localization:
-        """The pose of the sensor in the map, or the reason why there is none.
+        """Return the pose of the sensor in the map, or the reason why there is none.
 
         Parameters
         ----------
         landmarks : Landmarks
-            What one scan shows.
+            Landmarks of one scan.
 
         Raises
         ------
         InvalidScan
-            If it is given something else. Never raised for "not found".
+            If the argument is not Landmarks. Never raised for "not found".
         """
         if not isinstance(landmarks, Landmarks):
-            raise InvalidScan(f"a query is Landmarks, not {type(landmarks).__name__}")
+            raise InvalidScan(f"a query must be Landmarks, not {type(landmarks).__name__}")
         times = StageTimes(self._clock)
         with times("gathering"):
             T_local_sensor = levelling(landmarks.directions)
@@ -95,7 +95,7 @@ class LandmarkLocalizer:
     def search(
         self, columns: Float64, times: StageTimes | None = None
     ) -> tuple[LandmarkSearch, dict[str, int]]:
-        """What is found by landmarks in a frame whose z axis points up, and the counts of stages.
+        """Search the map for landmarks in a frame with a vertical z axis; also count by stage.
 
         Parameters
         ----------
@@ -151,11 +151,11 @@ class LandmarkLocalizer:
         return found
 
     def _concluded(self, best: Agreement, others: list[Agreement], count: int) -> LandmarkSearch:
-        """The posterior of the best place and of its rival."""
+        """Compute the posterior of the best place and the runner-up."""
         elsewhere = [a for a in others if _NEARBY.apart(a.T_map_local, best.T_map_local)]
-        rival = max(elsewhere, key=lambda found: found.support, default=None)
-        found = [best] if rival is None else [best, rival]
-        supports = [best.support, 0.0 if rival is None else rival.support]
+        runner_up = max(elsewhere, key=lambda found: found.support, default=None)
+        found = [best] if runner_up is None else [best, runner_up]
+        supports = [best.support, 0.0 if runner_up is None else runner_up.support]
         posterior = Posterior.of([scored_pose(a, supports, count) for a in found])
         needed = self.config.min_confidence
         return LandmarkSearch(posterior, posterior.reason(needed), posterior.message(needed), found)
@@ -163,17 +163,17 @@ class LandmarkLocalizer:
 
 @dataclass(frozen=True)
 class LandmarkSearch:
-    """What was found for one query.
+    """Result of one search.
 
     Attributes
     ----------
     posterior : Posterior
     reason : Reason or None
-        Why the likeliest place is not believed; None where it is.
+        Why the most probable place is rejected; None if it is accepted.
     message : str
-        The same as a sentence with its figures.
+        The reason as a sentence with its figures.
     agreements : sequence of Agreement
-        The best pose, and the best one at another place.
+        The best pose, and the runner-up.
     """
 
     posterior: Posterior
@@ -183,19 +183,19 @@ class LandmarkSearch:
 
 
 def scored_pose(agreement: Agreement, supports: Sequence[float], count: int) -> ScoredPose:
-    """A pose with its log-ratio.
+    """Return a pose with its log-ratio.
 
     Parameters
     ----------
     agreement : Agreement
     supports : sequence of float
-        Of this pose and of its rival, in any order.
+        Supports of this pose and of the runner-up, in any order.
     count : int
-        Landmarks of the query.
+        Number of landmarks of the query.
     """
-    rival = min(supports) if agreement.support == max(supports) else max(supports)
-    share, ratio = agreement.support / count, agreement.support / max(rival, _CHANCE_SUPPORT)
-    logs = (math.log(max(value, _LEAST)) for value in (share, ratio, agreement.support))
+    other = min(supports) if agreement.support == max(supports) else max(supports)
+    share, ratio = agreement.support / count, agreement.support / max(other, _CHANCE_SUPPORT)
+    logs = (math.log(max(value, _MIN_VALUE)) for value in (share, ratio, agreement.support))
     features = (1.0, *logs)
     return ScoredPose(
         T_map_local=agreement.T_map_local,

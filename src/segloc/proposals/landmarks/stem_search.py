@@ -1,4 +1,4 @@
-"""Local cloud -> candidate poses, by its stems: for forests, where segments say too little."""
+"""Local cloud -> candidate poses, by stems: for forests, where segments are inconclusive."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ from .landmark_map import LandmarkMap
 from .localizer import LandmarkLocalizer
 from .stems import StemFinder, Stems
 
-LEAST_SUPPORT, LEAST_SHARE = 5.0, 0.2
-"""Of stems on stems of the map: with less, a pose is not worth comparing clouds for. Wrong poses of
-simulated forests have a share of at most 0.19, right ones 0.28 and more."""
+MIN_SUPPORT, MIN_SHARE = 5.0, 0.2
+"""Least support of a pose by stems, and its share of the query's stems, for verification. In
+simulated forests wrong poses have a share of at most 0.19, correct ones of at least 0.28."""
 EFFORT = Effort()
-"""More of it found no more in simulated forests, parks and towns, in half as much time again."""
-RANGE_M, MOST_STEMS = 40.0, 96
-"""Stems of a query that are farther away are left out, since few points show them; and so are the
-farthest where there are more."""
+"""More effort took half as long again in simulated forests, parks and towns, and found no more."""
+RANGE_M, MAX_STEMS = 40.0, 96
+"""Range of a query's stems, beyond which they have few points, and their largest number."""
 
 
 class StemProposer:
-    """Proposes poses at which the stems that a query shows stand in the map, too.
+    """Proposes poses at which the stems of a query lie on stems of the map.
 
     Parameters
     ----------
     cloud : (N, 3) float32
-        The map's, relative to ``origin``; with its ground.
+        Cloud of the map with its ground, relative to ``origin``.
     origin : (3,) float64
     voxel : float
-        That the cloud was thinned to, metres.
+        Voxel size of the cloud [m].
     config : StemConfig, optional
     segmentation : SegmentationConfig, optional
-        What ground is.
+        Definition of ground.
 
     Notes
     -----
-    The map's stems are found when they are first needed, in about 2 s a million points.
+    The first query finds the map's stems, in about 2 s per million points.
     """
 
     def __init__(
@@ -61,34 +60,34 @@ class StemProposer:
     def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
         """Propose poses by the stems of a query; none if it has few.
 
-        The prior is not used: there are few stems, and a pose elsewhere shows an ambiguity.
+        The prior is not used: there are few stems, and a pose elsewhere reveals an alias.
         """
         scene, seen_from_origin = query.scene, query.cloud.num_scans == 1
         near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < RANGE_M
         stems = self._finder.find(scene.surface[near], seen_from_origin=seen_from_origin)
         columns = stems.moved(np.eye(4))
         nearest = np.argsort(np.hypot(columns[:, 0], columns[:, 1]), kind="stable")
-        columns = columns[np.sort(nearest[:MOST_STEMS])]
+        columns = columns[np.sort(nearest[:MAX_STEMS])]
         if len(columns) < self.config.fewest:
             return Proposals([])
-        if self._localizer is None:  # threads that ask at once make the same
-            self._localizer = LandmarkLocalizer(self._mapped(), LandmarkConfig(efforts=(EFFORT,)))
+        if self._localizer is None:  # concurrent callers build it twice, harmlessly
+            self._localizer = LandmarkLocalizer(self._stem_map(), LandmarkConfig(efforts=(EFFORT,)))
         search, _ = self._localizer.search(columns)
-        least = max(LEAST_SUPPORT, LEAST_SHARE * len(columns))
+        least = max(MIN_SUPPORT, MIN_SHARE * len(columns))
         found = [a for a in search.agreements if a.support >= least]
         candidates = [Candidate(a.T_map_local, 0, a.support / len(columns)) for a in found]
         return Proposals(candidates, search.reason is None)
 
-    def _mapped(self) -> LandmarkMap:
+    def _stem_map(self) -> LandmarkMap:
         stems = self._finder.find(self._cloud, spacing=self._voxel)
-        rows = _best_seen(stems, self.config.most)
+        rows = _largest(stems, self.config.most)
         columns = stems.moved(np.eye(4))[rows]
         positions = columns[:, :3] + self._origin
         views = np.ones(len(rows), np.int64)
         return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, np.empty((0, 4, 4)))
 
 
-def _best_seen(stems: Stems, most: int) -> Int64:
-    """Which stems most points show, in the order in which they are."""
-    assert stems.counts is not None  # they were found
+def _largest(stems: Stems, most: int) -> Int64:
+    """Return the rows of the stems with most points, in their order."""
+    assert stems.counts is not None  # set by StemFinder
     return np.sort(np.argsort(-stems.counts, kind="stable")[:most])

@@ -17,41 +17,41 @@ from .config import StemConfig
 from .landmarks import Landmarks
 
 _VOXEL_M = 0.1
-_MODEL_STD_M = 0.05  # of a stem from a cylinder
+_MODEL_STD_M = 0.05  # deviation of a stem from a cylinder
 
 # Clusters.
 _SLICE_GAP = 10.0
-"""Gap between slices, in tolerances: all slices are clustered in one call, each by itself."""
+"""Gap between slices, in tolerances: one call clusters all slices separately."""
 _MAX_POINTS = 100_000
 _MAX_SLICE_STEP = 2
-"""An empty slice, between two beams or behind a twig, does not end a stem."""
+"""Largest step between slices of a stem: one may be empty, between two beams or behind a twig."""
 _MAX_WIDTH_RATIO = 2.0
-"""Width of a stem to that of its slices: it leans, forks and has boughs."""
+"""Width of a stem relative to its slices: stems are tilted, forked, and have boughs."""
 
 # Fits.
 _STEPS = 3
-"""Steps of reweighting, which suppresses twigs and undergrowth on a stem."""
+"""Steps of reweighting, which suppresses twigs and undergrowth."""
 _MAX_SLOPE = 0.2
-"""Run over rise of an axis: trees lean less."""
+"""Largest run over rise of an axis."""
 _UPRIGHT_M2 = 0.2
-"""Weight of the prior that an axis is upright: that of a point this far along it, squared."""
+"""Weight of the prior of a vertical axis: that of a point this far along it, squared."""
 _NOISE_M = 0.04
-"""Noise of ranges and bark, a floor of residuals."""
+"""Noise of ranges and bark: the lower bound of residuals."""
 _MAX_RADIUS_M, _MIN_DIAMETER_M = 0.6, 0.05
 _MIDDLE = (0.05, 0.95)
-"""Quantiles across the line of sight: beyond lie twigs, and beams that saw an edge."""
+"""Quantiles across the line of sight, which exclude twigs and edge returns."""
 
 
 @dataclass(frozen=True)
 class Stems(Landmarks):
-    """Landmarks that were found in a cloud, with how well they are known.
+    """Landmarks found in a cloud, with their uncertainty.
 
     Attributes
     ----------
     position_std : (N,) float64
-        Standard deviation of the position along x and along y, metres.
+        Standard deviation of the position along x and y [m].
     counts : (N,) int64
-        Points of each.
+        Number of points of each.
     """
 
     position_std: Float64 | None = None
@@ -59,16 +59,16 @@ class Stems(Landmarks):
 
 
 class StemFinder:
-    """Finds stems in clouds whose z axis points up.
+    """Finds stems in clouds with a vertical z axis.
 
-    Slices of height are cut into clusters. Small ones that lie one above another, with nothing
-    beside them, are a stem; an axis and a circle are fitted to its points.
+    Height slices are clustered. Small, isolated clusters above each other form a stem; an axis and
+    a circle are fitted to its points.
 
     Parameters
     ----------
     config : StemConfig, optional
     segmentation : SegmentationConfig, optional
-        What ground is.
+        Definition of ground.
     """
 
     def __init__(
@@ -80,25 +80,25 @@ class StemFinder:
     def find(
         self, points: Float32, *, seen_from_origin: bool = False, spacing: float = 0.0
     ) -> Stems:
-        """The stems of a cloud, in its own frame.
+        """Find the stems of a cloud, in its own frame.
 
         Parameters
         ----------
         points : (N, 3) float32
-            With their ground.
+            Points with their ground.
         seen_from_origin : bool
-            Whether all points were seen from (0, 0), as those of a single scan are.
+            True if all points were seen from (0, 0), as in a single scan.
         spacing : float
-            Of the voxels that the cloud was thinned to, metres.
+            Voxel size of the cloud [m].
         """
         heights = heights_above_ground(points, self._segmentation)
-        # Neighbours in a grid are up to half as far again apart as its voxels are wide.
+        # Neighbours in a voxel grid are up to 1.5 voxels apart.
         tolerance = max(self._config.tolerance, 1.4 * spacing)
-        things = upright(points, heights, tolerance, self._config)
-        fits = fitted(things, seen_from_origin)
-        axes = np.column_stack([fits.leans, np.ones(len(things))])
-        std = np.hypot(_MODEL_STD_M, fits.deviations / np.sqrt(np.maximum(things.counts, 1)))
-        return Stems(fits.feet, axes, fits.diameters, position_std=std, counts=things.counts)
+        objects = upright(points, heights, tolerance, self._config)
+        fits = fitted(objects, seen_from_origin)
+        axes = np.column_stack([fits.slopes, np.ones(len(objects))])
+        std = np.hypot(_MODEL_STD_M, fits.deviations / np.sqrt(np.maximum(objects.counts, 1)))
+        return Stems(fits.feet, axes, fits.diameters, position_std=std, counts=objects.counts)
 
 
 def find_stems(
@@ -106,20 +106,20 @@ def find_stems(
     config: StemConfig | None = None,
     local_cloud: LocalCloudConfig | None = None,
 ) -> Stems:
-    """The stems that one or several scans show, in the frame of the last scan's sensor.
+    """Find the stems in one or several scans, in the frame of the last scan's sensor.
 
     Parameters
     ----------
     scans : Scan, (N, 3) array, list of Scan, or LocalCloud
-        As :meth:`segloc.Localizer.localize` takes them.
+        As for :meth:`segloc.Localizer.localize`.
     config : StemConfig, optional
     local_cloud : LocalCloudConfig, optional
-        How scans are gathered, and how the sensor is mounted.
+        Accumulation of scans, and mount of the sensor.
 
     Raises
     ------
     InvalidScan
-        If several scans are given without poses, or something else.
+        If several scans have no poses, or the type is wrong.
     """
     cloud = scans if isinstance(scans, LocalCloud) else Accumulator(local_cloud).gather(scans)
     thinned = _native.voxel_grid(cloud.points, _VOXEL_M)
@@ -138,15 +138,15 @@ def find_stems(
 
 @dataclass(frozen=True)
 class Upright:
-    """The points of K upright things, one thing after another.
+    """Points of K upright objects, object by object.
 
     Attributes
     ----------
     points : (M, 3) float64
     heights : (M,) float64
-        Over ground, metres.
+        Heights above ground [m].
     counts : (K,) int64
-        Points of each.
+        Number of points of each.
     """
 
     points: Float64
@@ -158,21 +158,21 @@ class Upright:
 
     @property
     def starts(self) -> Int64:
-        """Where the points of each begin, (K,) int64."""
+        """Index of the first point of each, (K,) int64."""
         return np.cumsum(self.counts) - self.counts
 
 
 def upright(points: Float32, heights: Float32, tolerance: float, config: StemConfig) -> Upright:
-    """The things of a cloud that go on upwards, and stand alone at several heights.
+    """Find the objects of a cloud that are slim and isolated at several heights.
 
     Parameters
     ----------
     points : (N, 3) float32
-        In a frame whose z axis points up.
+        Points in a frame with a vertical z axis.
     heights : (N,) float32
-        Over ground, metres.
+        Heights above ground [m].
     tolerance : float
-        Points of a slice closer than this belong together, metres.
+        Largest gap between points of a cluster [m].
     config : StemConfig
     """
     band = (heights > config.lowest_m) & (heights < config.highest_m)
@@ -186,11 +186,11 @@ def upright(points: Float32, heights: Float32, tolerance: float, config: StemCon
     which = np.repeat(chains, counts)
     order = np.argsort(which, kind="stable")
     members, which = members[order], which[order]
-    return _long_ones(points[members], heights[members], np.bincount(which), config)
+    return _stems(points[members], heights[members], np.bincount(which), config)
 
 
 def _clusters(points: Float32, slices: Int64, tolerance: float) -> tuple[Int64, Int64]:
-    """Rows of the points of each cluster of each slice, and how many each has."""
+    """Return the rows of points, cluster by cluster, and the size of each cluster."""
     lifted = points.copy()
     lifted[:, 2] = slices * (_SLICE_GAP * tolerance)
     members, offsets = _native.euclidean_clusters(lifted, tolerance, 1, _MAX_POINTS)
@@ -198,7 +198,7 @@ def _clusters(points: Float32, slices: Int64, tolerance: float) -> tuple[Int64, 
 
 
 def _widths(points: Float32, counts: Int64) -> Float64:
-    """The horizontal diagonal of each cluster, metres."""
+    """Return the horizontal diagonal of each cluster [m]."""
     if not len(counts):
         return np.empty(0)
     starts = np.cumsum(counts) - counts
@@ -209,7 +209,7 @@ def _widths(points: Float32, counts: Int64) -> Float64:
 
 
 def _chains(points: Float64, slices: Int64, counts: Int64, link: float) -> Int64:
-    """Which chain of clusters, one above another, each cluster belongs to."""
+    """Return the chain of each cluster; a chain holds clusters above each other."""
     if not len(counts):
         return np.empty(0, np.int64)
     starts = np.cumsum(counts) - counts
@@ -222,8 +222,8 @@ def _chains(points: Float64, slices: Int64, counts: Int64, link: float) -> Int64
     return chains
 
 
-def _long_ones(points: Float32, heights: Float32, counts: Int64, config: StemConfig) -> Upright:
-    """Those of enough points and length, and of no great width as a whole."""
+def _stems(points: Float32, heights: Float32, counts: Int64, config: StemConfig) -> Upright:
+    """Return the chains with enough points and length, and not too wide."""
     starts = np.cumsum(counts) - counts
     if not len(counts):
         return Upright(np.empty((0, 3)), np.empty(0), counts)
@@ -236,88 +236,88 @@ def _long_ones(points: Float32, heights: Float32, counts: Int64, config: StemCon
 
 @dataclass(frozen=True)
 class Fits:
-    """Axes and circles of K things.
+    """Axes and circles of K objects.
 
     Attributes
     ----------
     feet : (K, 3) float64
-        Where each axis meets the ground.
-    leans : (K, 2) float64
+        Intersection of each axis and the ground.
+    slopes : (K, 2) float64
         Run over rise of each axis along x and y.
     diameters : (K,) float64
-        Metres.
+        Diameters [m].
     deviations : (K,) float64
-        Of the points from the circle, root mean square after reweighting, metres.
+        Root mean square distance of points from the circle, after reweighting [m].
     """
 
     feet: Float64
-    leans: Float64
+    slopes: Float64
     diameters: Float64
     deviations: Float64
 
 
 class _Sums:
-    """Sums over the points of each of K things."""
+    """Sums over the points of each of K objects."""
 
-    def __init__(self, things: Upright) -> None:
-        self.which = np.repeat(np.arange(len(things)), things.counts)
-        self._count = len(things)
+    def __init__(self, objects: Upright) -> None:
+        self.which = np.repeat(np.arange(len(objects)), objects.counts)
+        self._count = len(objects)
 
     def __call__(self, values: Float64) -> Float64:
         sums: Float64 = np.bincount(self.which, values, self._count).astype(np.float64)
         return sums
 
 
-def fitted(things: Upright, seen_from_origin: bool) -> Fits:
-    """The axis and the circle that fit each thing best.
+def fitted(objects: Upright, seen_from_origin: bool) -> Fits:
+    """Fit an axis and a circle to each object.
 
     Parameters
     ----------
-    things : Upright
+    objects : Upright
     seen_from_origin : bool
-        Whether all points were seen from (0, 0), so that only one side of each thing is there:
-        then its width across the line of sight is its diameter. Else a circle is fitted.
+        True if all points were seen from (0, 0), so that only one side of each object is visible:
+        its width across the line of sight is then its diameter. Otherwise a circle is fitted.
     """
-    sums = _Sums(things)
-    x, y, z = things.points.T
-    middle = sums(z) / np.maximum(things.counts, 1)
+    sums = _Sums(objects)
+    x, y, z = objects.points.T
+    middle = sums(z) / np.maximum(objects.counts, 1)
     up = z - middle[sums.which]
     weight = np.ones(len(z))
     for _ in range(_STEPS):
-        leans, level = _axes(sums, weight, x, y, up)
+        slopes, level = _axes(sums, weight, x, y, up)
         circle = _one_sided if seen_from_origin else _all_around
-        centre, radius = circle(sums, weight, level, things)
+        centre, radius = circle(sums, weight, level, objects)
         off = np.hypot(*(level - centre[sums.which]).T) - radius[sums.which]
         total = np.maximum(sums(weight), 1e-9)
         deviation = np.sqrt(sums(weight * off**2) / total)
         scale = np.maximum(deviation, _NOISE_M)[sums.which]
         weight = 1.0 / (1.0 + (off / (1.5 * scale)) ** 2)
-    ground = middle - sums(things.heights) / np.maximum(things.counts, 1)
-    feet = np.column_stack([centre + leans * (ground - middle)[:, None], ground])
-    return Fits(feet, leans, np.maximum(2 * radius, _MIN_DIAMETER_M), deviation)
+    ground = middle - sums(objects.heights) / np.maximum(objects.counts, 1)
+    feet = np.column_stack([centre + slopes * (ground - middle)[:, None], ground])
+    return Fits(feet, slopes, np.maximum(2 * radius, _MIN_DIAMETER_M), deviation)
 
 
 def _axes(
     sums: _Sums, weight: Float64, x: Float64, y: Float64, up: Float64
 ) -> tuple[Float64, Float64]:
-    """Leans, and the points moved along them to the middle height of each thing, (M, 2)."""
+    """Return the slopes, and the points projected along them to mid height, (M, 2)."""
     total = np.maximum(sums(weight), 1e-9)
     mean = sums(weight * up) / total
     rise = weight * (up - mean[sums.which])
     spread = sums(rise * up) + total * _UPRIGHT_M2
-    leans = np.stack([sums(rise * x) / spread, sums(rise * y) / spread], axis=1)
-    leans = np.clip(leans, -_MAX_SLOPE, _MAX_SLOPE)
-    return leans, np.stack([x, y], axis=1) - up[:, None] * leans[sums.which]
+    slopes = np.stack([sums(rise * x) / spread, sums(rise * y) / spread], axis=1)
+    slopes = np.clip(slopes, -_MAX_SLOPE, _MAX_SLOPE)
+    return slopes, np.stack([x, y], axis=1) - up[:, None] * slopes[sums.which]
 
 
 def _all_around(
-    sums: _Sums, weight: Float64, level: Float64, things: Upright
+    sums: _Sums, weight: Float64, level: Float64, objects: Upright
 ) -> tuple[Float64, Float64]:
-    """Centres and radii of circles with the least squares of (r^2 - radius^2): I. Kasa, "A circle
-    fitting procedure and its error analysis", IEEE Trans. Instrum. Meas. 25, 1976.
+    """Fit centres and radii of circles: least squares of (r^2 - radius^2).
 
-    Points all on one side, or in a heap, say little of the centre: where the circle is far larger
-    than the points reach, their mean is taken.
+    I. Kasa, "A circle fitting procedure and its error analysis", IEEE Trans. Instrum. Meas. 25,
+    1976. If the circle is far larger than the extent of the points, the centre is uncertain, and
+    their mean replaces it.
     """
     total = np.maximum(sums(weight), 1e-9)
     mean = np.stack([sums(weight * c) / total for c in level.T], axis=1)
@@ -331,15 +331,15 @@ def _all_around(
     shift /= det[:, None]
     spread = np.sqrt(sums(weight * square) / total)
     radius = np.sqrt((shift**2).sum(axis=1) + spread**2)
-    vague = (radius > _MAX_RADIUS_M) | (radius > 2 * spread + 0.05)
-    shift[vague], radius[vague] = 0.0, spread[vague]
+    uncertain = (radius > _MAX_RADIUS_M) | (radius > 2 * spread + 0.05)
+    shift[uncertain], radius[uncertain] = 0.0, spread[uncertain]
     return mean + shift, radius
 
 
 def _one_sided(
-    sums: _Sums, weight: Float64, level: Float64, things: Upright
+    sums: _Sums, weight: Float64, level: Float64, objects: Upright
 ) -> tuple[Float64, Float64]:
-    """Centres and radii of things seen from (0, 0): their width is seen, and their near side."""
+    """Fit centres and radii of objects seen from (0, 0), by their width and their near side."""
     total = np.maximum(sums(weight), 1e-9)
     mean = np.stack([sums(weight * c) / total for c in level.T], axis=1)
     ahead = mean / np.maximum(np.hypot(*mean.T), 1e-9)[:, None]
@@ -348,7 +348,7 @@ def _one_sided(
     across = (off * aside[sums.which]).sum(axis=1)
     order = np.lexsort((across, sums.which))
     low, high = (
-        across[order][things.starts + (share * (things.counts - 1) + 0.5).astype(np.int64)]
+        across[order][objects.starts + (share * (objects.counts - 1) + 0.5).astype(np.int64)]
         for share in _MIDDLE
     )
     radius = np.minimum(np.maximum((high - low) / 2, _MIN_DIAMETER_M / 2), _MAX_RADIUS_M)

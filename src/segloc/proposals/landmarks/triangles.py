@@ -1,9 +1,9 @@
-"""What a landmark's surroundings say of it: triangles with pairs of its nearest neighbours.
+"""Matching of landmarks by triangles with pairs of their nearest neighbours.
 
-A triangle's key has eight numbers, each divided by its noise: the sides from the landmark to the
-nearer and to the farther of the two, the third side with the sign of the turn (so that a mirror
-image differs), two differences of height, and three diameters. A query's triangle is matched to
-the map's nearest keys, and each such pair of triangles matches their three corners.
+The key of a triangle has eight numbers, each divided by its noise: the sides from the landmark to
+the nearer and to the farther neighbour, the third side with the sign of the turn (so that a mirror
+image differs), two height differences, and three diameters. A triangle of a query is matched to the
+nearest keys of the map; each pair of triangles matches its three corners.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from .config import Effort, LandmarkConfig
 from .landmarks import nearest
 
 DIMENSION = 8
-_SPREAD = 8.0
-"""Both triangles have noise, and it has tails: four times what one with normal noise would have."""
+_KEY_VARIANCE = 8.0
+"""Variance of key differences: both triangles have noise with tails, four times the normal one."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Triangles:
     Attributes
     ----------
     keys : (T, 8) float64
-        Compared by Euclidean distance, which is in units of the noise.
+        Keys, in units of the noise; compared by Euclidean distance.
     corners : (T, 3) int64
-        The landmark itself, the nearer and the farther of the pair.
+        The landmark, its nearer and its farther neighbour.
     """
 
     keys: Float64
@@ -46,20 +46,20 @@ def triangles_of(
     config: LandmarkConfig,
     chosen: Int64 | None = None,
 ) -> Triangles:
-    """The triangles of landmarks with each pair of their nearest neighbours.
+    """Build the triangles of landmarks with each pair of their nearest neighbours.
 
     Parameters
     ----------
     positions : (N, 3) float64
-        In a frame whose z axis points up, metres.
+        Positions [m], in a frame with a vertical z axis.
     diameters : (N,) float64
-        Metres.
+        Diameters [m].
     neighbours : int
-        Of fewer landmarks than that, all are neighbours.
+        Most neighbours of a landmark.
     config : LandmarkConfig
-        Says what the noise is.
+        Provides the noise.
     chosen : (C,) int64, optional
-        Those whose triangles are wanted; all by default.
+        Landmarks to build triangles of; all by default.
     """
     count = len(positions)
     near = min(neighbours, count - 1)
@@ -90,7 +90,7 @@ def _keys(
 
 
 class TriangleIndex:
-    """Finds the landmarks of a map that stand among others as those of a query do.
+    """Finds map landmarks with the same arrangement of neighbours as those of a query.
 
     Parameters
     ----------
@@ -107,20 +107,20 @@ class TriangleIndex:
         self._config, self._count = config, len(positions)
         found = triangles_of(positions, diameters, effort.neighbours, config)
         self._corners = found.corners
-        # Eight numbers and a bound of the distance: a tree looks at few of the keys.
+        # With eight numbers and a bound of the distance, a tree visits few keys.
         self._tree = cKDTree(found.keys) if len(found.keys) else None
 
     def matches(self, positions: Float64, diameters: Float64) -> Matches:
-        """Pairs of a query's landmarks and the map's, those that most triangles speak for first.
+        """Match landmarks of a query to those of the map, by falling support of triangles.
 
         Parameters
         ----------
         positions : (N, 3) float64
-            Local frame, whose z axis points up.
+            Local frame, z axis vertical.
         diameters : (N,) float64
         """
         around = np.argsort(np.hypot(positions[:, 0], positions[:, 1]), kind="stable")
-        # Of those near the sensor, the neighbours are most likely to be in view, too.
+        # Landmarks near the sensor are the most likely to have their neighbours in view.
         chosen = np.sort(around[: self.effort.most_landmarks])
         query = triangles_of(positions, diameters, self.effort.neighbours, self._config, chosen)
         if self._tree is None or not len(query.keys):
@@ -132,7 +132,7 @@ class TriangleIndex:
         distance = distance.reshape(len(query.keys), -1)
         own, rank = np.nonzero(np.isfinite(distance))
         corners = self._corners[row.reshape(distance.shape)[own, rank]]
-        likelihood = np.exp(-(distance[own, rank] ** 2) / _SPREAD)
+        likelihood = np.exp(-(distance[own, rank] ** 2) / _KEY_VARIANCE)
         return self._summed(query.corners[own].ravel(), corners.ravel(), likelihood)
 
     def _summed(self, query: Int64, mapped: Int64, likelihood: Float64) -> Matches:

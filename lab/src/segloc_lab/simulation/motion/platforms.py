@@ -424,7 +424,7 @@ class Flight:
     low_m, high_m : float
         It stays between these above the ground.
     cruise_deg : float
-        It pitches forward by so much to keep its speed.
+        Its forward pitch at constant speed.
     gust_deg : float
         Standard deviation of roll and pitch in the wind.
     """

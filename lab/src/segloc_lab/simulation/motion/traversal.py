@@ -1,4 +1,4 @@
-"""Drives through a world: the sensor's poses, scans cast when asked for."""
+"""Drives through a world: poses of the sensor, scans cast on access."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .platforms import Platform, Route, car
 
 @dataclass
 class SimulatedSequence:
-    """Scans along a route in one session of a world, cast when asked for.
+    """Scans along a route in one session of a world, cast on access.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class SimulatedSequence:
     def object_ids(self, i: int) -> Int32:
         """Which object each point of the scan at position i lies on, (N,) int32.
 
-        What an id is, ``world.session(session, conditions).kinds`` says.
+        Ids are those of ``world.session(session, conditions).kinds``.
         """
         return self._cast(i).object_ids
 

@@ -46,7 +46,7 @@ class Terrain:
         return np.asarray(np.where(fu + fv <= 1, low, high), dtype=np.float64)
 
     def raised(self, by: float) -> Terrain:
-        """The same surface, so many metres higher."""
+        """Return the surface raised by a height [m]."""
         return replace(self, heights=self.heights + by)
 
     def mesh(self) -> tuple[Float32, Int64]:

@@ -278,7 +278,7 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
     kind : str
         Of :data:`SPECIES`.
     detail : float
-        Share of the leaves that is drawn, each so much larger that they cover the same area; for
+        Share of the leaves that is drawn, each enlarged to cover the same area; for
         trees that no ray meets from near by.
     scale : float
         Times the height of the species.

@@ -30,4 +30,4 @@ SENSORS: dict[str, Callable[..., Lidar]] = {
     "solid-state": solid_state,
     "lms151": lms151,
 }
-"""What makes each sensor; an argument says how many firings a scan has."""
+"""Factories of sensors; an argument sets the number of firings per scan."""

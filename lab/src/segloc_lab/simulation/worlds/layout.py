@@ -98,7 +98,7 @@ class Frontage:
 
 @dataclass
 class Site:
-    """A settlement being laid out; ``green`` says how much grows in it, 0 to 1."""
+    """A settlement being laid out; ``green`` is the amount of vegetation, 0 to 1."""
 
     rng: np.random.Generator
     terrain: Terrain

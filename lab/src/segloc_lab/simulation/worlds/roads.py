@@ -159,7 +159,7 @@ def street_network(
 ) -> RoadNetwork:
     """A lattice of junctions bent out of shape, some streets missing, each street curved.
 
-    ``shift`` says how far junctions leave the lattice, as a share of its step, ``bend`` how far
+    ``shift`` is how far junctions leave the lattice, as a share of its step, ``bend`` how far
     streets leave the straight line, as a share of their length, and ``missing`` how many are
     left out.
     """

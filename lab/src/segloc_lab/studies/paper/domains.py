@@ -61,7 +61,7 @@ class DomainSize:
     Attributes
     ----------
     train, test : int
-        Worlds. Those of training have two sessions, those of tests as many as the test set says.
+        Worlds. Those of training have two sessions, those of tests the number of the test set.
     scale : str
         Of the test sets: how large a world is, and how far each session leads.
     """

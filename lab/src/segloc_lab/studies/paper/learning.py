@@ -137,8 +137,8 @@ def trained(
 ) -> list[Path]:
     """Return the weights of every training, in order; existing ones are reused.
 
-    A training that was cut off goes on where it was. Each takes one thread, so nothing depends on
-    who does it: so many processes, or an executor.
+    An interrupted training resumes. Each takes one thread, so results do not depend on the number
+    of processes or the executor.
     """
     missing = [each for each in trainings if not each.finished]
     if any(each.method in NETWORKS for each in missing):

@@ -159,8 +159,8 @@ def trust_scores(found: Described) -> Float64 | None:
     """Return a map's candidate matches by falling score, (M,); None without a quality.
 
     The logarithm of exp(-distance) times both qualities, as in
-    :meth:`segloc.proposals.matching.Matcher.match`. A quality says how likely a segment's *nearest*
-    descriptor is to be right; which of two given pairs shows one object is another question.
+    :meth:`segloc.proposals.matching.Matcher.match`. A quality is the probability that a segment's
+    *nearest* descriptor is correct, not that a given pair shows one object.
     """
     if found.quality is None:
         return None

@@ -16,7 +16,7 @@ NAME = "roc"
 Curves = dict[str, dict[str, Roc]]
 
 _STRICT = 0.01
-_JUDGED = ("dsm", "esm", "profile")
+_SCORED = ("dsm", "esm", "profile")
 
 _TEXT = """\
 Two segments of different sessions either show one object or two. Each method gives such a pair a \
@@ -40,8 +40,8 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     transfer = Transfer(workspace, plan)
     domains = transfer.domains.names
     transfer.prepare(domains)
-    judged = [method for method in _JUDGED if method in transfer.methods]
-    transfer.score([(domain, domain) for domain in domains], judged)
+    scored = [method for method in _SCORED if method in transfer.methods]
+    transfer.score([(domain, domain) for domain in domains], scored)
     curves: Curves = {domain: {} for domain in domains}
     cells = [(domain, method) for domain in domains for method in transfer.methods]
     with workspace.progress("Adding up") as update:
@@ -112,7 +112,7 @@ def _judges(transfer: Transfer, curves: Curves) -> Table:
     """Compare distance with learned scores of pairs."""
     rows: list[tuple[Cell, ...]] = []
     for domain, found in curves.items():
-        for method in (m for m in _JUDGED if m in transfer.methods):
+        for method in (m for m in _SCORED if m in transfer.methods):
             trust = transfer.trust(method, domain, domain)
             each = (found.get(method), found.get(f"{method}-fq"), trust)
             rows.append((TITLES[domain], method, *map(_area, each)))
@@ -120,7 +120,7 @@ def _judges(transfer: Transfer, curves: Curves) -> Table:
     note = (
         "Areas by score of a pair. FC4 is what the paper calls feature quality. The quality "
         "that localization orders its matches by rates a single segment: whether the nearest one "
-        "in a map will be of the same object. It says little about given pairs."
+        "in a map will be of the same object. It is a poor measure of given pairs."
     )
     return Table("roc_judges", "What judges a pair", columns, tuple(rows), note)
 

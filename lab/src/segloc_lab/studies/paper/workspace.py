@@ -25,7 +25,7 @@ class Workspace(workspace.Workspace):
     Attributes
     ----------
     suite, scale : str
-        Of :data:`.simulation.suites.SUITES`; "small", "full", or "paper": poses are asked for
+        Of :data:`.simulation.suites.SUITES`; "small", "full", or "paper": poses are requested
         as often and as far along as in the paper, which takes hours.
     only : tuple of str or None
         Of the test sets of the suite only these.
