@@ -12,9 +12,11 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from samples.plaza import Plaza, PlazaSequence, RingSequence
 from samples.streams import walked
 
@@ -361,6 +363,36 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
         peer.clear()
         peer.listen("initialpose")
         peer.until(lambda: peer.heard["initialpose"], WAIT_S)
+
+
+def test_amcl_is_told_by_its_topic_and_its_service(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """A stand-in for AMCL, with the parameters for Nav2: once each, and an echo is no click."""
+    kind = pytest.importorskip("nav2_msgs.srv").SetInitialPose
+    called: list[Any] = []
+
+    def set_initial_pose(request: Any, response: Any) -> Any:
+        called.append(request.pose)
+        return response
+
+    amcl = peer.create_service(kind, "/set_initial_pose", set_initial_pose)
+    file = INSTALLED / "segloc_ros/share/segloc_ros/config/nav2.yaml"
+    options = yaml.safe_load(file.read_text())["/**"]["ros__parameters"] | {
+        "set_initial_pose_service": "set_initial_pose", "points_reliable": True,
+    }  # fmt: skip
+    peer.clear()
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(3, step=0.0)
+        peer.until(lambda: called and peer.said == "localized, at rest", WAIT_S)
+        told = [*called, *peer.heard["initialpose"]]
+        assert len(called) == len(peer.heard["initialpose"]) == 1
+        for message in told:
+            assert message.header.frame_id == "map"
+            assert off(pose_in(message.pose.pose), truth) < 0.5
+    peer.destroy_service(amcl)
 
 
 def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:

@@ -401,7 +401,8 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     samples = [r for r in records if "minutes" in r]
     tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
     if samples:
-        title = f"A LiDAR alone ({samples[0]['sensor']}), {samples[0]['minutes']:g} minutes"
+        minutes = samples[-1]["scans"] / RATE_HZ / 60
+        title = f"A LiDAR alone ({samples[0]['sensor']}), {minutes:.1f} minutes of stream"
         note = (
             f"After the first tenth memory grows by {100 * growth(samples):.1f} % "
             f"(limit {100 * MAX_GROWTH:g} %). Times are of the processor, one thread."
