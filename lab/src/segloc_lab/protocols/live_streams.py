@@ -398,17 +398,25 @@ def growth(samples: list[Sample]) -> float:
 def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     """Publish the tables of the streams, and of a LiDAR alone if measured."""
     streams = [r for r in records if "stream" in r]
-    samples = [r for r in records if "minutes" in r]
     tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
-    if samples:
+    for sensor, samples in samples_of(records).items():
         minutes = samples[-1]["scans"] / RATE_HZ / 60
-        title = f"A LiDAR alone ({samples[0]['sensor']}), {minutes:.1f} minutes of stream"
+        title = f"A LiDAR alone ({sensor}), {minutes:.1f} minutes of stream"
         note = (
-            f"After the first tenth memory grows by {100 * growth(samples):.1f} % "
+            f"After the first row memory grows by {100 * growth(samples):.1f} % "
             f"(limit {100 * MAX_GROWTH:g} %). Times are of the processor, one thread."
         )
         tables.append(Table(ALONE_COLUMNS, alone_table(samples), note, title))
     publish(folder, "Robots followed on one core", *tables)
+
+
+def samples_of(records: list[dict[str, Any]]) -> dict[str, list[Sample]]:
+    """Return the samples of each sensor that was alone."""
+    samples: dict[str, list[Sample]] = {}
+    for record in records:
+        if "minutes" in record:
+            samples.setdefault(record["sensor"], []).append(record)
+    return samples
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
@@ -445,9 +453,9 @@ def main() -> None:
             keep(args.out, stream_record(town_stream(args.sensor, seed, args.length, args.scans)))
     records = read([args.out])
     report(records, args.report)
-    samples = [r for r in records if "minutes" in r]
-    if samples and growth(samples) >= MAX_GROWTH:
-        raise SystemExit(f"memory grows by {100 * growth(samples):.1f} %")
+    for sensor, samples in samples_of(records).items():
+        if growth(samples) >= MAX_GROWTH:
+            raise SystemExit(f"{sensor}: memory grows by {100 * growth(samples):.1f} %")
 
 
 if __name__ == "__main__":
