@@ -44,6 +44,7 @@ from ..simulation import (
     SCENES,
     SENSORS,
     Conditions,
+    Lidar,
     OdometryNoise,
     Route,
     simulate_session,
@@ -214,9 +215,11 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
     return found
 
 
-def alone(sensor: str, seed: int, minutes: float, root: Path, ends: float) -> Iterator[Sample]:
+def alone(
+    sensor: str, seed: int, minutes: float, root: Path, ends: float, thin: int = 1
+) -> Iterator[Sample]:
     """Go there and back along a street with a LiDAR alone; return a sample after every tenth."""
-    localizer, recording = _street(sensor, seed, root)
+    localizer, recording = _street(SENSORS[sensor]().thinned(thin), seed, root)
     positions = there_and_back(len(recording), round(minutes * 60 * RATE_HZ))
     for i in set(positions.tolist()):
         recording.scan(i)  # cast before anything is measured
@@ -230,7 +233,7 @@ def alone(sensor: str, seed: int, minutes: float, root: Path, ends: float) -> It
         if k * TENTHS // len(positions) > (k - 1) * TENTHS // len(positions):
             yield {
                 "minutes": minutes,
-                "sensor": sensor,
+                "sensor": f"{sensor}, one firing in {thin}" if thin > 1 else sensor,
                 "scans": k,
                 "mb": round(held_mb(), 2),
                 "localized": localized,
@@ -242,7 +245,7 @@ def alone(sensor: str, seed: int, minutes: float, root: Path, ends: float) -> It
             return
 
 
-def _street(sensor: str, seed: int, root: Path) -> tuple[Localizer, Kept]:
+def _street(lidar: Lidar, seed: int, root: Path) -> tuple[Localizer, Kept]:
     """A mapped street, and slow scans along it in another lane, on another day."""
     world = SCENES["town"](seed, size_m=200.0)
     junctions = tuple(world.roads.walk(np.random.default_rng(seed), [0], STREET_M, avoid=[]))
@@ -250,7 +253,7 @@ def _street(sensor: str, seed: int, root: Path) -> tuple[Localizer, Kept]:
     mapped = simulate_session(world, 0, way, SENSORS["hdl64e"](900), seed)
     again = replace(way, lane_offset_m=0.3, spacing_m=SLOW_M)
     changed = Conditions(replaced=0.1)
-    driven = simulate_session(world, 1, again, SENSORS[sensor](), seed, conditions=changed)
+    driven = simulate_session(world, 1, again, lidar, seed, conditions=changed)
     return _localizer(mapped), kept(driven, root)
 
 
@@ -431,6 +434,7 @@ def main() -> None:
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
     options.add_argument("--kitti", type=Path, metavar="DATA")
     options.add_argument("--minutes", type=float, help="minutes of stream of a LiDAR alone")
+    options.add_argument("--thin", type=int, default=1, help="one firing in COUNT, for --minutes")
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()
@@ -442,7 +446,8 @@ def main() -> None:
     done = {(r.get("stream"), r.get("seed")) for r in earlier}
     if args.minutes:
         where = args.scans or Path("scans")
-        for sample in alone(args.sensor, args.seeds[0], args.minutes, where, ends):
+        run = alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin)
+        for sample in run:
             keep(args.out, sample)
     elif args.kitti:
         keep(args.out, stream_record(kitti00_stream(args.kitti)))
