@@ -11,7 +11,7 @@ COPY cpp cpp
 COPY src src
 # The environment sees rclpy of the system, whose NumPy is older than pip would choose.
 RUN python3 -m venv --system-site-packages /opt/segloc && \
-    /opt/segloc/bin/pip install --no-cache-dir '.[odometry]'
+    /opt/segloc/bin/pip install --no-cache-dir '.[odometry,geo]'
 COPY ros2* /workspace/src/
 RUN . /opt/ros/jazzy/setup.sh && . /opt/segloc/bin/activate && \
     cd /workspace && mkdir -p install && \

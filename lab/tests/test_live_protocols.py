@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
+from segloc_lab.protocols import live_streams
 
 from segloc import geometry
 from segloc.loops.graph import Edges
@@ -20,3 +23,20 @@ def test_a_right_loop_takes_the_drift_out_of_a_path() -> None:
     loops = Edges(np.array([0]), np.array([40]), T, covariance)
     assert ate(truths @ geometry.yaw_transform(0.0), truths) == pytest.approx(0.0, abs=1e-9)
     assert ate(tied(odometry, loops), truths) < 0.5 * ate(odometry, truths)
+
+
+@pytest.mark.slow
+def test_an_hour_of_a_lidar_alone_at_its_smallest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("kiss_icp")
+    pytest.importorskip("embreex")
+    monkeypatch.setattr(live_streams, "STREET_M", 6.0)
+    samples = list(live_streams.alone("vlp16", 5200, 0.1, tmp_path, float("inf")))
+    assert [s["scans"] for s in samples] == list(range(6, 61, 6))
+    assert all(min(s["ms"].values()) > 0 for s in samples)
+    live_streams.report(samples, tmp_path / "report")
+    assert samples[-1]["localized"] > 50 and not samples[-1]["false_m"]
+    assert "memory grows by" in (tmp_path / "report" / "REPORT.md").read_text()
+    grown = [{"mb": mb} for mb in (100.0, 108.0, 103.0)]
+    assert live_streams.growth(grown) == pytest.approx(0.08)

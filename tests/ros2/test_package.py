@@ -70,12 +70,16 @@ def test_launch_files_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With stand-ins for launch, of which there is no wheel: at least nothing is misspelt here."""
     for name in STAND_INS:
         monkeypatch.setitem(sys.modules, name, MagicMock())
+    sys.modules.pop("segloc_ros.launching", None)
     sys.modules["ament_index_python.packages"].get_package_share_directory.return_value = "/share"
     scope = runpy.run_path(str(path))
     scope["generate_launch_description"]()
     if "node" in scope:
-        chosen = scope["LaunchConfiguration"].return_value.perform
-        chosen.return_value = "true"
+        given = {"use_sim_time": "True", "base_to_lidar": "[0.4, 0, 1.2, 0, 0, 0]"}
+        scope["LaunchConfiguration"].side_effect = lambda name: MagicMock(
+            perform=MagicMock(return_value=given.get(name, ""))
+        )
         assert len(scope["node"](MagicMock())) == 1
         (made,) = sys.modules["launch_ros.actions"].LifecycleNode.call_args_list
-        assert made.kwargs["parameters"][1]["use_sim_time"] is True
+        expected = {"use_sim_time": True, "base_to_lidar": [0.4, 0.0, 1.2, 0.0, 0.0, 0.0]}
+        assert made.kwargs["parameters"][1] == expected

@@ -55,3 +55,18 @@ class PlazaSequence:
 
     def select(self, selection: object) -> PlazaSequence:
         raise NotImplementedError
+
+
+class RingSequence(PlazaSequence):
+    """A drive around a plaza on a circle, ``aside`` metres outside of it."""
+
+    def __init__(self, plaza: Plaza, radius: float, length: float, step: float, aside: float = 0.0):
+        angles = np.arange(0.0, length, step) / radius
+        super().__init__(plaza, len(angles))
+        at = (radius + aside) * np.column_stack([np.cos(angles), np.sin(angles)])
+        self.poses = np.stack(
+            [
+                geometry.yaw_transform(angle + np.pi / 2, (x, y, 1.8))
+                for angle, (x, y) in zip(angles, at, strict=True)
+            ]
+        )

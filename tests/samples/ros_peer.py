@@ -34,7 +34,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from segloc import geometry
-from segloc.types import Float32, Pose
+from segloc.types import Float32, Pose, Recording
 
 from .plaza import Plaza
 from .ros_drive import BASE, LIDAR, MOUNT, ODOM
@@ -169,6 +169,23 @@ class Peer(Node):
             self.now = events[1].stamp
             self.spin(0.25)
         return truth
+
+    def drive(self, recording: Recording, every_s: float = 0.1) -> dict[float, Pose]:
+        """Drive a recording as fast as the node computes odometry; true poses of the base by stamp.
+
+        Nothing but clouds is sent. The next one waits for the odometry of the last.
+        """
+        assert recording.poses is not None
+        truths, lidar_base = {}, geometry.inverse(MOUNT)
+        self.now += 1.0
+        for i, T in enumerate(recording.poses):
+            self.now = round(self.now + every_s, 6)
+            truths[self.now] = T @ lidar_base
+            self.send_cloud(self.now, recording.scan(i).points)
+            self.until(
+                lambda: self.heard["odom"] and self.newest("odom")[0] >= self.now - 1e-6, 60.0
+            )
+        return truths
 
     def newest(self, name: str) -> tuple[float, Pose]:
         """Stamp and pose of the newest message of that name."""

@@ -5,26 +5,26 @@ ros2 launch segloc_ros segloc.launch.py map:=/maps/site.segmap points:=/points o
 Arguments that are not given are as the file of parameters says.
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
+import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
+from segloc_ros.launching import share
 
-SHARE = Path(get_package_share_directory("segloc_ros"))
+SHARE = share("segloc_ros")
 PARAMETERS = {
     "map": "the .segmap, or a folder or URL of tiles",
     "mode": "initialpose, tf or both",
     "trigger": "until_localized, periodic or service",
     "odometry": "topic, tf, kiss-icp or none",
+    "base_to_lidar": "mount where tf has none: '[x, y, z, roll, pitch, yaw]'",
     "pose_file": "file that keeps the pose over a power cycle",
     "smooth_tf": "true: map -> odom without jumps",
     "use_sim_time": "true for a bag or a simulator",
 }
-FLAGS = ("smooth_tf", "use_sim_time")
+VALUES = ("base_to_lidar", "smooth_tf", "use_sim_time")
 ARGUMENTS = {
     "params_file": (str(SHARE / "config" / "segloc.yaml"), "parameters"),
     "namespace": ("", "namespace of the node, its topics and tf"),
@@ -38,7 +38,9 @@ def node(context: LaunchContext) -> list[LifecycleNode]:
     """The node, with the parameters that were given."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     given = {name: value for name, value in values.items() if value}
-    given |= {name: given[name].lower() == "true" for name in FLAGS if name in given}
+    given |= {name: yaml.safe_load(given[name]) for name in VALUES if name in given}
+    if "base_to_lidar" in given:  # ROS takes no list of integers and floats
+        given["base_to_lidar"] = [float(number) for number in given["base_to_lidar"]]
     return [
         LifecycleNode(
             package="segloc_ros",

@@ -22,6 +22,9 @@ from .recorded import RecordedSequence
 _MIN_POINTS = 50
 _MAX_STEP_M = 20.0
 _MAX_IN_A_ROW = 5
+_LAST_STEP = 1e-3
+"""Step of the registration [m, rad] below which it ends. KISS-ICP's own 1e-4 takes up to twice the
+time, for the same drift."""
 
 
 def lidar_odometry(
@@ -157,6 +160,7 @@ def _kiss_icp(max_range_m: float) -> Any:
     config.data.max_range = max_range_m
     config.mapping.voxel_size = max_range_m / 100.0
     config.registration.max_num_threads = 1
+    config.registration.convergence_criterion = _LAST_STEP
     return KissICP(config)
 
 

@@ -12,10 +12,12 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+import yaml
+from samples.plaza import Plaza, PlazaSequence, RingSequence
 from samples.streams import walked
 
 from segloc import Config, Scan, SegmentMap, build_map, geometry
@@ -29,7 +31,7 @@ pytest.importorskip("tf2_msgs")
 from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from segloc_ros.messages import pose_in, pose_out, transform_in  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out, seconds, transform_in  # noqa: E402
 from sensor_msgs.msg import NavSatFix  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -158,6 +160,30 @@ def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
         assert {t.child_frame_id for t in sent} == {"odom", "base_link"}
         T_odom_base = pose_in(peer.heard["odom"][-1].pose.pose)
         assert off(peer.map_to_odom() @ T_odom_base, truth) < 0.5
+
+
+def test_lidar_alone_for_500_m(peer: Peer, tmp_path: Path) -> None:
+    """At 10 m/s by its stamps, once around: localized along 95 % of the way, nowhere falsely."""
+    pytest.importorskip("kiss_icp")
+    plaza, around_m = Plaza(3, objects=290, size=250.0), 500.0
+    mapped, driven = (RingSequence(plaza, 80.0, around_m, *each) for each in ((2.0,), (1.0, 0.7)))
+    build_map(mapped, Config.preset("geo")).save(tmp_path / "ring.segmap")
+    peer.clear()
+    options = PARAMETERS | {"odometry": "kiss-icp", "query_every_m": 10, "mode": "tf"}
+    with running(NODE, tmp_path / "log", map=str(tmp_path / "ring.segmap"), **options):
+        peer.ready(odometry=False)
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        peer.heard["diagnostics"].clear()
+        truths = peer.drive(driven)
+        assert localized(peer, truths[peer.now]), peer.said
+    told = {round(seconds(m.header.stamp), 6): pose_in(m.pose.pose) for m in peer.heard["pose"]}
+    assert max(off(T, truths[stamp]) for stamp, T in told.items()) < 1.0
+    assert len(told) > 0.95 * len(truths)
+    states = [message.status[0].message for message in peer.heard["diagnostics"]]
+    states = states[states.index("localized") :]
+    assert states.count("localized") > 0.95 * len(states)
 
 
 def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> None:
@@ -337,6 +363,36 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
         peer.clear()
         peer.listen("initialpose")
         peer.until(lambda: peer.heard["initialpose"], WAIT_S)
+
+
+def test_amcl_is_told_by_its_topic_and_its_service(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """A stand-in for AMCL, with the parameters for Nav2: once each, and an echo is no click."""
+    kind = pytest.importorskip("nav2_msgs.srv").SetInitialPose
+    called: list[Any] = []
+
+    def set_initial_pose(request: Any, response: Any) -> Any:
+        called.append(request.pose)
+        return response
+
+    amcl = peer.create_service(kind, "/set_initial_pose", set_initial_pose)
+    file = INSTALLED / "segloc_ros/share/segloc_ros/config/nav2.yaml"
+    options = yaml.safe_load(file.read_text())["/**"]["ros__parameters"] | {
+        "set_initial_pose_service": "set_initial_pose", "points_reliable": True,
+    }  # fmt: skip
+    peer.clear()
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(3, step=0.0)
+        peer.until(lambda: called and peer.said == "localized, at rest", WAIT_S)
+        told = [*called, *peer.heard["initialpose"]]
+        assert len(called) == len(peer.heard["initialpose"]) == 1
+        for message in told:
+            assert message.header.frame_id == "map"
+            assert off(pose_in(message.pose.pose), truth) < 0.5
+    peer.destroy_service(amcl)
 
 
 def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
     python -m segloc_lab.protocols.live_streams --sensor hdl64e --seeds 5200 5201 5202 5203
     python -m segloc_lab.protocols.live_streams --kitti DATA
-    python -m segloc_lab.protocols.live_streams --minutes 60
+    python -m segloc_lab.protocols.live_streams --minutes 60 --sensor os1-64
 
 Each seed is a town that is mapped by a thinned HDL-64E along 500 m, and driven through in another
 session, partly beside the map, at 10 m/s with a full scan every metre; a tenth of the things is
@@ -10,16 +10,20 @@ replaced. Odometry drifts by half a percent. KITTI 00: the first half of the key
 and the second followed. Localized: of the scans within 3 m of the mapped path. First fix: the robot
 is switched on anew every 20 m of the way. False: metres localized, or degraded with a pose, more
 than 2 m (KITTI, whose truth is good to a metre: 3 m) or 10 degrees off. Times are those of the
-processor, with one thread. ``--minutes`` instead lets a robot go there and back along a street at
-1.5 m/s, and notes its memory every minute. Runs can work at once; ``--add`` adds up.
+processor, with one thread.
+
+``--minutes`` instead lets a robot with nothing but a LiDAR go there and back along a mapped street
+at 1.5 m/s, with odometry from its scans. Processor time by stage and resident memory are noted
+after every tenth; it fails if memory then grows by 5 % or more after the first tenth. Runs can work
+at once; ``--add`` adds up.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,27 +31,34 @@ import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors
-from segloc.live import LiveCore, State, Status
+from segloc.live import LidarOdometry, LiveCore, State, Status
+from segloc.pipeline import Search
+from segloc.proposals import Query
+from segloc.system.stage_times import StageTimes
 from segloc.types import Float64, Int64, Recording
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..recordings import kept
+from ..recordings import Kept, kept
 from ..report import Cell, Table, entries, keep, publish, resumed
 from ..simulation import (
     SCENES,
     SENSORS,
     Conditions,
+    Lidar,
     OdometryNoise,
-    SimulatedSequence,
+    Route,
+    simulate_session,
     simulate_sessions,
 )
-from ..stages import held_mb
+from ..stages import held_mb, processor_clock
 
 RATE_HZ = 10.0
-STEP_M, SLOW_M, STREET_M = 1.0, 0.15, 150.0
+STEP_M, SLOW_M, STREET_M = 1.0, 0.15, 40.0
 STARTS_M, GIVE_UP_M = 20.0, 100.0
 OFF_M, KITTI_OFF_M, OFF_DEG = 2.0, 3.0, 10.0
-SAMPLE_SCANS = 600
+TENTHS, MAX_GROWTH = 10, 0.05
+
+Sample = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -72,23 +83,15 @@ class Stream:
 
 def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> Stream:
     """Full scans, one metre apart, of a drive through a town mapped on another day."""
-    localizer, again = _town(sensor, seed, 330.0, length_m, STEP_M)
-    driven = again.with_odometry()
-    name = f"town, {sensor}"
-    return Stream(name, seed, localizer, kept(driven, root), driven.poses, driven.truth)
-
-
-def _town(
-    sensor: str, seed: int, size_m: float, length_m: float, spacing_m: float
-) -> tuple[Localizer, SimulatedSequence]:
-    """A mapped town, and a drive through it on another day."""
-    world = SCENES["town"](seed, size_m=size_m)
+    world = SCENES["town"](seed, size_m=330.0)
     days = [Conditions(), Conditions(replaced=0.1)]
     mapped = simulate_sessions(world, SENSORS["hdl64e"](900), days, length_m=length_m, seed=seed)[0]
-    driven = simulate_sessions(
-        world, SENSORS[sensor](), days, length_m=length_m, spacing_m=spacing_m, seed=seed
+    again = simulate_sessions(
+        world, SENSORS[sensor](), days, length_m=length_m, spacing_m=STEP_M, seed=seed
     )[1]
-    return _localizer(mapped), driven
+    driven = again.with_odometry()
+    name = f"town, {sensor}"
+    return Stream(name, seed, _localizer(mapped), kept(driven, root), driven.poses, driven.truth)
 
 
 def kitti00_stream(data: Path) -> Stream:
@@ -102,7 +105,7 @@ def kitti00_stream(data: Path) -> Stream:
 
 def _localizer(mapped: Recording) -> Localizer:
     config = Config(threads=1)
-    return Localizer(build_map(mapped, config), config)
+    return Localizer(build_map(mapped, config), config, clock=processor_clock)
 
 
 @dataclass(frozen=True)
@@ -212,34 +215,70 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
     return found
 
 
-def memory(seed: int, minutes: int, root: Path, ends: float) -> Iterator[dict[str, Any]]:
-    """Drive back and forth along a street with a VLP-16; sample memory every minute."""
-    localizer, driven = _town("vlp16", seed, 200.0, STREET_M, SLOW_M)
-    recording = kept(driven, root)
-    positions = there_and_back(len(driven), round(minutes * 60 * RATE_HZ))
-    truths = driven.truth[positions]
-    odometry = OdometryNoise().odometry(truths, np.random.default_rng(seed))
-    for i in range(len(driven)):
+def alone(
+    sensor: str, seed: int, minutes: float, root: Path, ends: float, thin: int = 1
+) -> Iterator[Sample]:
+    """Go there and back along a street with a LiDAR alone; return a sample after every tenth."""
+    localizer, recording = _street(SENSORS[sensor]().thinned(thin), seed, root)
+    positions = there_and_back(len(recording), round(minutes * 60 * RATE_HZ))
+    for i in set(positions.tolist()):
         recording.scan(i)  # cast before anything is measured
-    core = LiveCore(localizer, T_base_sensor=np.eye(4))
-    localized, false_m, seconds = 0, 0.0, 0.0
-    for k, i in enumerate(positions.tolist()):
-        step = followed(core, Scan(recording.scan(i).points), k / RATE_HZ, odometry[k])
-        sure = step.state.status is Status.LOCALIZED
+    core, odometry = LiveCore(localizer, T_base_sensor=np.eye(4)), LidarOdometry()
+    times, localized, false_m = StageTimes(processor_clock), 0, 0.0
+    for k, i in enumerate(positions.tolist(), 1):
+        _add_alone(core, odometry, Scan(recording.scan(i).points), k / RATE_HZ, times)
+        sure = core.state.status is Status.LOCALIZED
         localized += sure
-        false_m += SLOW_M * (sure and not right(*error(step.state, truths[k]), OFF_M))
-        seconds += (step.scan_ms + sum(step.query_ms)) / 1e3
-        if (k + 1) % SAMPLE_SCANS == 0:
+        false_m += SLOW_M * (sure and not right(*error(core.state, recording.truth[i]), OFF_M))
+        if k * TENTHS // len(positions) > (k - 1) * TENTHS // len(positions):
             yield {
-                "minute": (k + 1) // SAMPLE_SCANS,
-                "scans": k + 1,
+                "minutes": minutes,
+                "sensor": f"{sensor}, one firing in {thin}" if thin > 1 else sensor,
+                "scans": k,
                 "mb": round(held_mb(), 2),
                 "localized": localized,
                 "false_m": round(false_m, 2),
-                "seconds": round(seconds, 2),
+                "losses": odometry.losses,
+                "ms": {stage: round(ms / k, 3) for stage, ms in times.ms.items()},
             }
         if time.monotonic() > ends:
             return
+
+
+def _street(lidar: Lidar, seed: int, root: Path) -> tuple[Localizer, Kept]:
+    """A mapped street, and slow scans along it in another lane, on another day."""
+    world = SCENES["town"](seed, size_m=200.0)
+    junctions = tuple(world.roads.walk(np.random.default_rng(seed), [0], STREET_M, avoid=[]))
+    way = Route(junctions, length_m=STREET_M)
+    mapped = simulate_session(world, 0, way, SENSORS["hdl64e"](900), seed)
+    again = replace(way, lane_offset_m=0.3, spacing_m=SLOW_M)
+    changed = Conditions(replaced=0.1)
+    driven = simulate_session(world, 1, again, lidar, seed, conditions=changed)
+    return _localizer(mapped), kept(driven, root)
+
+
+def _add_alone(
+    core: LiveCore, odometry: LidarOdometry, scan: Scan, stamp: float, times: StageTimes
+) -> None:
+    """Add a scan as ``LiveCore(lidar_odometry=True)`` does, and make its queries."""
+    segmented: list[float] = []
+
+    def note(query: Query, search: Search, ms: Mapping[str, float]) -> None:
+        segmented.append(ms["segmentation"])
+
+    lost = odometry.losses
+    with times("odometry"):
+        poses = odometry.add(scan, stamp)
+    with times("scan"):
+        for known, T in poses:
+            core.add_odometry(known, T)
+        if odometry.losses > lost:
+            core.doubt(odometry.fault)
+        core.add_scan(scan, stamp)
+    with times("query"):
+        while (asked := core.due()) is not None:
+            core.answer(asked, core.ask(asked, callback=note))
+    times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + sum(segmented)
 
 
 def there_and_back(count: int, total: int) -> Int64:
@@ -265,15 +304,18 @@ COLUMNS = (
     "a query, median / 99 % (ms)",
     "share of a core at 10 Hz",
 )
-MEMORY_COLUMNS = (
-    "minutes",
+ALONE_COLUMNS = (
     "scans",
     "memory (MB)",
     "localized",
     "false (m)",
+    "odometry lost",
+    "odometry (ms a scan)",
+    "scan, de-skewed and accumulated (ms)",
+    "segmentation of queries (ms)",
+    "rest of queries (ms)",
     "share of a core at 10 Hz",
 )
-MINUTES = (1, 5, 10, 20, 30, 40, 50, 60)
 
 
 def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
@@ -328,33 +370,56 @@ def _spread(values: Iterable[float], high: int, digits: int) -> str:
     return " / ".join("never" if np.isinf(v) else f"{v:.{digits}f}" for v in ranks)
 
 
-def memory_table(samples: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """Return some of the samples, and the last."""
-    chosen = [s for s in samples if s["minute"] in MINUTES or s is samples[-1]]
-    return [
-        (
-            s["minute"],
-            s["scans"],
-            round(s["mb"], 1),
-            f"{100 * s['localized'] / s['scans']:.1f} %",
-            round(s["false_m"], 1),
-            f"{s['seconds'] * RATE_HZ / s['scans']:.2f}",
+def alone_table(samples: list[Sample]) -> list[tuple[Cell, ...]]:
+    """Return one row per tenth; times are means from the first scan on."""
+    rows: list[tuple[Cell, ...]] = []
+    for s in samples:
+        odometry, scan, query, segmentation = (
+            s["ms"][stage] for stage in ("odometry", "scan", "query", "segmentation")
         )
-        for s in chosen
-    ]
+        stages = (odometry, scan, segmentation, query - segmentation)
+        rows.append(
+            (
+                s["scans"],
+                f"{s['mb']:.1f}",
+                f"{100 * s['localized'] / s['scans']:.1f} %",
+                round(s["false_m"], 1),
+                s["losses"],
+                *(f"{ms:.1f}" for ms in stages),
+                f"{sum(stages) * RATE_HZ / 1e3:.2f}",
+            )
+        )
+    return rows
+
+
+def growth(samples: list[Sample]) -> float:
+    """Return by which share memory grows, at most, after the first tenth."""
+    first, *later = (float(s["mb"]) for s in samples)
+    return max(later, default=first) / first - 1.0
 
 
 def report(records: list[dict[str, Any]], folder: Path | None) -> None:
-    """Publish the tables of the streams, and of memory if measured."""
+    """Publish the tables of the streams, and of a LiDAR alone if measured."""
     streams = [r for r in records if "stream" in r]
-    samples = sorted((r for r in records if "minute" in r), key=lambda s: float(s["minute"]))
     tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
-    if samples:
-        last = samples[len(samples) // 2 :]
-        slope = np.polyfit([s["scans"] for s in last], [s["mb"] for s in last], 1)[0]
-        note = f"In the second half memory grows by {1e3 * slope:.3f} MB a thousand scans."
-        tables.append(Table(MEMORY_COLUMNS, memory_table(samples), note, "Memory"))
+    for sensor, samples in samples_of(records).items():
+        minutes = samples[-1]["scans"] / RATE_HZ / 60
+        title = f"A LiDAR alone ({sensor}), {minutes:.1f} minutes of stream"
+        note = (
+            f"After the first row memory grows by {100 * growth(samples):.1f} % "
+            f"(limit {100 * MAX_GROWTH:g} %). Times are of the processor, one thread."
+        )
+        tables.append(Table(ALONE_COLUMNS, alone_table(samples), note, title))
     publish(folder, "Robots followed on one core", *tables)
+
+
+def samples_of(records: list[dict[str, Any]]) -> dict[str, list[Sample]]:
+    """Return the samples of each sensor that was alone."""
+    samples: dict[str, list[Sample]] = {}
+    for record in records:
+        if "minutes" in record:
+            samples.setdefault(record["sensor"], []).append(record)
+    return samples
 
 
 def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
@@ -364,13 +429,12 @@ def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
 
 def main() -> None:
     options = resumed(__doc__, "streams.jsonl")
-    options.add_argument("--sensor", choices=("hdl64e", "vlp16"), default="vlp16")
+    options.add_argument("--sensor", choices=("hdl64e", "os1-64", "vlp16"), default="vlp16")
     options.add_argument("--seeds", type=int, nargs="*", default=[5200])
     options.add_argument("--length", type=float, default=500.0, help="metres of each")
     options.add_argument("--kitti", type=Path, metavar="DATA")
-    options.add_argument(
-        "--minutes", type=int, help="minutes of stream over which memory is measured"
-    )
+    options.add_argument("--minutes", type=float, help="minutes of stream of a LiDAR alone")
+    options.add_argument("--thin", type=int, default=1, help="one firing in COUNT, for --minutes")
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()
@@ -381,7 +445,9 @@ def main() -> None:
     earlier = read([args.out]) if args.out.exists() else []
     done = {(r.get("stream"), r.get("seed")) for r in earlier}
     if args.minutes:
-        for sample in memory(args.seeds[0], args.minutes, args.scans or Path("scans"), ends):
+        where = args.scans or Path("scans")
+        run = alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin)
+        for sample in run:
             keep(args.out, sample)
     elif args.kitti:
         keep(args.out, stream_record(kitti00_stream(args.kitti)))
@@ -390,7 +456,11 @@ def main() -> None:
             if (f"town, {args.sensor}", seed) in done or time.monotonic() > ends:
                 continue
             keep(args.out, stream_record(town_stream(args.sensor, seed, args.length, args.scans)))
-    report(read([args.out]), args.report)
+    records = read([args.out])
+    report(records, args.report)
+    for sensor, samples in samples_of(records).items():
+        if growth(samples) >= MAX_GROWTH:
+            raise SystemExit(f"{sensor}: memory grows by {100 * growth(samples):.1f} %")
 
 
 if __name__ == "__main__":
