@@ -273,7 +273,7 @@ def _add_alone(
         for known, T in poses:
             core.add_odometry(known, T)
         if odometry.losses > lost:
-            core.doubt(odometry.fault)
+            core.report_lost_motion(odometry.fault)
         core.add_scan(scan, stamp)
     with times("query"):
         while (asked := core.due()) is not None:
