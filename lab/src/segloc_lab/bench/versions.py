@@ -149,7 +149,7 @@ def sensors(data: Path | None) -> dict[str, list[Float32]]:
 
 
 def scene_of(data: Path | None, segments: int) -> tuple[SegmentMap, list[Float32]]:
-    """A map of so many segments, and single scans of it and of other places."""
+    """Return a map with a number of segments, and single scans of it and of other places."""
     if data and (data / "kitti00").is_dir():
         from .kitti_query import kitti_scene
 
