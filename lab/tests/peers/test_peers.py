@@ -168,10 +168,10 @@ def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
 
 
 def test_a_threshold_is_chosen_at_other_places(tmp_path: Path) -> None:
-    queries = answered(tmp_path, [False, True, False, True], [0.9, 0.6, 0.5, 0.7])
+    queries = answered(tmp_path, [False, True, False, True], [0.9, 0.6, 0.5, 0.8])
     result = score(tmp_path / "answers-peer.npz", queries)
     assert result.right.tolist() == [[False] * 4, *[[True, False, True, False]] * 2]
-    # Its own wrong answer takes no part in the threshold of a place: 0.7 there, 0.6 at the last.
+    # Chosen without the place itself: 0.8, 0.85, 0.85, and 0.75 at the last, halfway to 0.9.
     assert result.taken.tolist() == [True, False, False, True]
     (row,) = table(scored(tmp_path)).rows
     assert row[:5] == ("peer", 4, "0 of 4", "1 of 4", "1 of 4")

@@ -3,7 +3,8 @@
     python -m segloc_lab.peers.compare OUT/single OUT/town --report FOLDER
 
 A system without a verdict of its own accepts a query's answer above a threshold that is chosen on
-other places: the highest score of a wrong answer to queries outside of the query's 100 m square.
+other places, the queries outside of the query's 100 m square: halfway between the highest score of
+a wrong answer and the next score of a right one above it.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def score(path: Path, queries: Clouds) -> Score:
     if answers.verdict:
         taken = given & answers.accepted
     else:
-        thresholds = left_out(answers.scores, given & ~right[-1], squares(queries))
+        thresholds = left_out(answers.scores, given & ~right[-1], right[-1], squares(queries))
         taken = given & (answers.scores > thresholds)
     return Score(path.stem.removeprefix("answers-"), answers, right, taken)
 
@@ -135,12 +136,17 @@ def squares(queries: Clouds) -> NDArray[np.int64]:
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def left_out(scores: Floats, wrong: Bools, places: NDArray[np.int64]) -> Floats:
-    """Return the highest score of a wrong answer at any other place; -inf without one."""
-    highest = [
-        scores[wrong & (places != place)].max(initial=-math.inf) for place in range(max(places) + 1)
-    ]
-    return np.array(highest)[places]
+def left_out(scores: Floats, wrong: Bools, right: Bools, places: NDArray[np.int64]) -> Floats:
+    """Return the threshold that the answers at all other places imply, (N,) float64."""
+    others = [places != place for place in range(max(places) + 1)]
+    return np.array([threshold(scores[wrong & o], scores[right & o]) for o in others])[places]
+
+
+def threshold(wrong: Floats, right: Floats) -> float:
+    """Return a score between the highest wrong answer and the next right one above it."""
+    highest = float(wrong.max(initial=-math.inf))
+    above = right[right > highest]
+    return (highest + float(above.min())) / 2 if len(above) and len(wrong) else highest
 
 
 def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
@@ -280,9 +286,9 @@ def transfer(parts: Sequence[Part]) -> Table:
             others = [o for p in parts if p is not part for o in p.scores if o.system == s.system]
             if not others:
                 continue
-            taken = s.taken_above(
-                max(o.answers.scores[o.wrong].max(initial=-math.inf) for o in others)
-            )
+            wrong = np.concatenate([o.answers.scores[o.wrong] for o in others])
+            right = np.concatenate([o.answers.scores[o.right[-1]] for o in others])
+            taken = s.taken_above(threshold(wrong, right))
             rows.append(
                 (
                     part.name,
@@ -292,7 +298,7 @@ def transfer(parts: Sequence[Part]) -> Table:
                     bounded(taken & s.wrong & ~inside, s.answers.queried & ~inside),
                 )
             )
-    note = "The highest score of a wrong answer in all other sets; segloc has its own verdict."
+    note = "Chosen by the same rule on all other sets; segloc has its own verdict."
     return Table(TRANSFER, rows, note, "Thresholds of the other sets")
 
 

@@ -1,9 +1,10 @@
-"""Open3D: FPFH features, RANSAC, then point-to-plane ICP, against the map around each place.
+"""Open3D: FPFH features, RANSAC, then point-to-plane ICP, against a view of each place.
 
 The steps and their ratios are those of Open3D's tutorial on global registration; the voxel is an
-option. A map of up to ``--whole`` points after downsampling is one target; of a larger one, the
-query is registered with the map around every place in turn. Poses that tilt are dropped, since all
-clouds are level. The score is the fitness of ICP: the share of the query that has a map point near.
+option. A map of up to ``--whole`` points after downsampling is one target. In a larger one, the
+query is registered with a view of every place in turn; views joined give it fewer right poses.
+Poses that tilt are dropped, since all clouds are level. The score is the share of the query that
+has a map point near it after ICP.
 
     python -m segloc_lab.peers.open3d_query OUT/single
 
@@ -51,9 +52,9 @@ class Target:
         return 4 * len(self.cloud.points) * (6 + int(self.features.dimension()))
 
 
-def near(points: NDArray[np.floating], at: Floats) -> Floats:
-    """Return the points within the radius of a position."""
-    inside = ((points[:, :2] - at[:2]) ** 2).sum(axis=1) < RADIUS_M**2
+def near(points: NDArray[np.floating]) -> Floats:
+    """Return the points near the sensor, which is at the origin."""
+    inside = (points[:, :2] ** 2).sum(axis=1) < RADIUS_M**2
     return np.asarray(points[inside], dtype=np.float64)
 
 
@@ -70,14 +71,6 @@ def prepared(cloud: Any, voxel: float) -> Target:
     return Target(cloud, features)
 
 
-def joined(views: Clouds, voxel: float) -> Floats:
-    """Return the points of all views in the map's frame, downsampled."""
-    parts = [
-        near(views[i], np.zeros(2)) @ T[:3, :3].T + T[:3, 3] for i, T in enumerate(views.poses)
-    ]
-    return np.asarray(cloud_of(np.concatenate(parts), voxel).points)
-
-
 def apart(positions: Floats, metres: float) -> list[int]:
     """Return positions so that every other one is within this distance of one of them."""
     chosen: list[int] = []
@@ -88,15 +81,13 @@ def apart(positions: Floats, metres: float) -> list[int]:
 
 
 def targets_of(views: Clouds, options: argparse.Namespace) -> list[Target]:
-    """Return the map as a whole if it is small, and around places otherwise."""
-    points = joined(views, options.voxel)
-    if len(points) <= options.whole:
-        return [prepared(cloud_of(points, options.voxel), options.voxel)]
-    places = views.poses[:, :3, 3]
-    return [
-        prepared(cloud_of(near(points, places[i]), options.voxel), options.voxel)
-        for i in apart(places, options.apart)
-    ]
+    """Return the map as a whole if it is small, and views of places otherwise."""
+    moved = [near(views[i]) @ T[:3, :3].T + T[:3, 3] for i, T in enumerate(views.poses)]
+    whole = cloud_of(np.concatenate(moved), options.voxel)
+    if len(whole.points) <= options.whole:
+        return [prepared(whole, options.voxel)]
+    chosen = apart(views.poses[:, :3, 3], options.apart)
+    return [prepared(cloud_of(moved[i], options.voxel), options.voxel) for i in chosen]
 
 
 def drawn(query: Target, target: Target, voxel: float) -> Any:
@@ -154,7 +145,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
     for q in todo:
         open3d.utility.random.seed(q)
         with answers.timed(q):
-            query = prepared(cloud_of(near(queries[q], np.zeros(2)), options.voxel), options.voxel)
+            query = prepared(cloud_of(near(queries[q]), options.voxel), options.voxel)
             T, fitness = located(query, targets, options.top, options.voxel)
         if fitness >= 0:
             answers.give(q, T, fitness)
@@ -165,7 +156,7 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("--views", default="scan", help="long, short or scan")
     options.add_argument("--voxel", type=float, default=1.0, help="metres")
-    options.add_argument("--whole", type=int, default=30_000, help="points of a small map")
+    options.add_argument("--whole", type=int, default=5_000, help="points of a small map")
     options.add_argument("--apart", type=float, default=20.0, help="places of a large map, metres")
     options.add_argument("--top", type=int, default=3, help="poses that ICP is spent on")
     run(options, answer)
