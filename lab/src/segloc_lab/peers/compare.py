@@ -2,7 +2,7 @@
 
     python -m segloc_lab.peers.compare OUT/single OUT/town --report FOLDER
 
-A system without a verdict of its own accepts a query's answer above a threshold that is chosen on
+A system without a decision of its own accepts a query's answer above a threshold that is chosen on
 other places, the queries outside of the query's 100 m square: halfway between the highest score of
 a wrong answer and the next score of a right one above it.
 """
@@ -65,7 +65,7 @@ class Score:
     right : (3, N) bool
         Whether the answer is within each of :data:`RIGHT`.
     taken : (N,) bool
-        Answers that the system accepts or, without a verdict, those above the threshold.
+        Answers that the system accepts or, without one, those above the threshold.
     """
 
     system: str
@@ -74,9 +74,9 @@ class Score:
     taken: Bools
 
     @property
-    def judged(self) -> bool:
-        """Whether the system has a verdict of its own."""
-        return bool(self.answers.verdict)
+    def decides(self) -> bool:
+        """Whether the system has a decision of its own."""
+        return bool(self.answers.decides)
 
     @property
     def wrong(self) -> Bools:
@@ -85,8 +85,8 @@ class Score:
         return found
 
     def taken_above(self, threshold: float) -> Bools:
-        """Return the answers that another threshold accepts; a verdict of its own stands."""
-        if self.judged:
+        """Return the answers that another threshold accepts; a decision of its own stands."""
+        if self.decides:
             return self.taken
         return answered(self.answers) & (self.answers.scores > threshold)
 
@@ -112,7 +112,7 @@ def score(path: Path, queries: Clouds) -> Score:
     answers = Answers.load(path)
     given = answered(answers)
     right = np.stack([given & close(answers.poses, queries.poses, *each) for each in RIGHT])
-    if answers.verdict:
+    if answers.decides:
         taken = given & answers.accepted
     else:
         thresholds = left_out(answers.scores, given & ~right[-1], right[-1], squares(queries))
@@ -188,17 +188,17 @@ def table(part: Part, missing: Mapping[str, str] | None = None) -> Table:
 
 
 def _row(s: Score, part: Part) -> tuple[Cell, ...]:
-    inside, asked = part.queries.within_coverage, s.answers.queried
-    place = asked & inside
+    inside, queried = part.queries.within_coverage, s.answers.queried
+    place = queried & inside
     f1, auc = confidence(s, place)
     size = float(s.answers.map_bytes) / 1e6 / part.map_km if part.map_km else math.nan
-    ms = s.answers.ms[asked]
+    ms = s.answers.ms[queried]
     return (
         label(s.system),
-        int(asked.sum()),
+        int(queried.sum()),
         *(f"{int((right & s.taken & place).sum())} of {int(place.sum())}" for right in s.right),
         bounded(s.taken & s.wrong & inside, place),
-        bounded(s.taken & s.wrong & ~inside, asked & ~inside),
+        bounded(s.taken & s.wrong & ~inside, queried & ~inside),
         round(f1, 3),
         round(auc, 3),
         f"{np.median(ms):.0f} / {np.percentile(ms, 95):.0f}" if len(ms) else None,
@@ -257,11 +257,11 @@ def found(s: Score, taken: Bools, queries: Clouds, group: str | None = None) -> 
 
 
 def refusals(parts: Sequence[Part]) -> Table:
-    """Return why the systems with a verdict of their own refused queries."""
+    """Return why the systems with a decision of their own refused queries."""
     rows = []
     for part in parts:
         inside = part.queries.within_coverage
-        for s in (s for s in part.scores if s.judged):
+        for s in (s for s in part.scores if s.decides):
             refused = s.answers.queried & ~s.taken
             counts = (
                 Counter(s.answers.reasons[refused & side].tolist()) for side in (inside, ~inside)
@@ -298,7 +298,7 @@ def transfer(parts: Sequence[Part]) -> Table:
                     bounded(taken & s.wrong & ~inside, s.answers.queried & ~inside),
                 )
             )
-    note = "Chosen by the same rule on all other sets; segloc has its own verdict."
+    note = "Chosen by the same rule on all other sets; segloc has its own decision."
     return Table(TRANSFER, rows, note, "Thresholds of the other sets")
 
 

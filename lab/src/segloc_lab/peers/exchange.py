@@ -93,7 +93,7 @@ class Gathering:
 class Answers:
     """One system's answers to the queries of a protocol, kept query by query.
 
-    A system with a verdict of its own (``verdict``) tells which answers it accepts, and why it
+    A system with a decision of its own (``decides``) tells which answers it accepts, and why it
     refuses the others; the threshold of all others is set afterwards (see ``compare.py``).
 
     Attributes
@@ -115,14 +115,14 @@ class Answers:
         Identifies queries and settings.
     """
 
-    def __init__(self, count: int, *, verdict: bool = False, trained: str = "-", key: int = 0):
+    def __init__(self, count: int, *, decides: bool = False, trained: str = "-", key: int = 0):
         self.poses = np.full((count, 4, 4), np.nan)
         self.scores = np.full(count, -np.inf)
         self.ms = np.zeros(count)
         self.queried = np.zeros(count, dtype=bool)
         self.accepted = np.zeros(count, dtype=bool)
         self.reasons = np.full(count, "", dtype="<U40")
-        self.verdict = np.array(verdict)
+        self.decides = np.array(decides)
         self.map_bytes = np.array(np.nan)
         self.trained = np.array(trained)
         self.key = np.array(key)
@@ -135,7 +135,7 @@ class Answers:
         queries: Clouds,
         settings: str,
         *,
-        verdict: bool = False,
+        decides: bool = False,
         trained: str = "nothing",
     ) -> Answers:
         """Return the answers kept of the same queries and settings; none without any."""
@@ -143,7 +143,7 @@ class Answers:
         path = answers_path(folder, system)
         if path.exists() and int((kept := cls.load(path)).key) == key:
             return kept
-        return cls(len(queries), verdict=verdict, trained=trained, key=key)
+        return cls(len(queries), decides=decides, trained=trained, key=key)
 
     def pending(self, every: int) -> list[int]:
         """Return which queries are still to be answered."""

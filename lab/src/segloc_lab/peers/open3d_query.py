@@ -124,11 +124,11 @@ def located(query: Target, targets: list[Target], top: int, voxel: float) -> tup
             found.transformation,
             registration.TransformationEstimationPointToPlane(),
         )
-        judged = registration.evaluate_registration(
+        evaluated = registration.evaluate_registration(
             query.cloud, target.cloud, 0.4 * voxel, refined.transformation
         )
-        if judged.fitness > fitness:
-            best, fitness = np.array(refined.transformation), float(judged.fitness)
+        if evaluated.fitness > fitness:
+            best, fitness = np.array(refined.transformation), float(evaluated.fitness)
     return best, fitness
 
 

@@ -1,4 +1,4 @@
-"""segloc on the clouds that the other systems get, with its own verdict.
+"""segloc on the clouds that the other systems get, with its own decision.
 
     python -m segloc_lab.peers.segloc_query OUT/single
 
@@ -66,7 +66,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
     queries = Clouds.load(folder / "queries.npz")
     system = f"segloc-{options.method}{'-alone' if options.segments_alone else ''}"
     settings = settings_of(options) + code()
-    answers = Answers.resume(folder, system, queries, settings, verdict=True, trained=TRAINED)
+    answers = Answers.resume(folder, system, queries, settings, decides=True, trained=TRAINED)
     todo = answers.pending(options.every)
     if not todo:
         return

@@ -153,8 +153,8 @@ class Job:
                 self.say(f"{name} on {each}")
                 self._answer(PEERS[name], python[name], each)
         absent = {a: "not installed" for name in missing for a in PEERS[name].answers[:1]}
-        asked = {answers for name in self.peers for answers in PEERS[name].answers}
-        return compare.tables([self.folder(name) for name in self.sets], asked, absent)
+        systems = {answers for name in self.peers for answers in PEERS[name].answers}
+        return compare.tables([self.folder(name) for name in self.sets], systems, absent)
 
     def _export(self, name: str) -> None:
         folder = self.folder(name)
