@@ -141,6 +141,9 @@ class Job:
 
     def run(self) -> list[Table]:
         """Export what is missing, have all systems answer, and return the tables."""
+        for name in self.sets:
+            if self.data is None and name in PROTOCOLS and not self._is_exported(name):
+                raise DatasetError(f"set {name}: no recording; pass --data KITTI00")
         python = {name: self.pythons.get(name, sys.executable) for name in self.peers}
         missing = {name for name in self.peers if not has(python[name], PEERS[name].package)}
         for name in self.sets:
@@ -156,17 +159,17 @@ class Job:
         systems = {answers for name in self.peers for answers in PEERS[name].answers}
         return compare.tables([self.folder(name) for name in self.sets], systems, absent)
 
+    def _is_exported(self, name: str) -> bool:
+        return (self.folder(name) / "queries.npz").is_file()
+
     def _export(self, name: str) -> None:
-        folder = self.folder(name)
-        if (folder / "queries.npz").is_file():
+        if self._is_exported(name):
             return
         self.say(f"exporting {name}")
         if name in SIMULATED:
-            export.simulated(folder, name, STEP * self.every)
-        elif self.data is None:
-            raise DatasetError(f"set {name}: no recording; pass --data KITTI00")
-        else:
-            export.kitti(self.data, folder, name, self.every)
+            export.simulated(self.folder(name), name, STEP * self.every)
+        elif self.data is not None:
+            export.kitti(self.data, self.folder(name), name, self.every)
 
     def _answer(self, peer: Peer, python: str, name: str) -> None:
         command = [python, "-m", f"segloc_lab.peers.{peer.module}", str(self.folder(name))]
