@@ -101,6 +101,12 @@ def test_branch_and_bound_finds_the_pose(tmp_path: Path) -> None:
         assert abs(np.degrees(geometry.heading(off))) < 2
 
 
+def test_branch_and_bound_finds_nothing_without_points_at_sensor_height(tmp_path: Path) -> None:
+    views = Clouds.load(walled(tmp_path / "walls") / "views-scan.npz")
+    ground = views[0][views[0][:, 2] < SEARCH.low_m]
+    assert branch_and_bound.grid_of(views, SEARCH).search(SEARCH.slice(ground)) == []
+
+
 def test_branch_and_bound_finds_what_a_full_search_finds() -> None:
     """Bounds drop no window that holds the best pose."""
     rng = np.random.default_rng(5)

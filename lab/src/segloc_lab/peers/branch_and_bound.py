@@ -105,8 +105,10 @@ class Grid:
         self.nbytes = sum(level.nbytes for level in self.levels)
 
     def search(self, xy: Floats) -> list[Found]:
-        """Return the best poses, best first."""
+        """Return the best poses, best first; none if nothing is at sensor height."""
         turns = turned(xy, self.settings)
+        if not turns.shape[1]:
+            return []
         yaws = np.linspace(0.0, 2 * np.pi, len(turns), endpoint=False)
         best = Best(self.settings)
         for score, (turn, i, j) in self._leaves(turns, lambda: best.least):

@@ -33,6 +33,9 @@ RADIUS_M = 50.0
 """How far from the sensor clouds are compared."""
 
 DRAWS, CERTAINTY = 100_000, 0.999
+FEWEST = 10
+"""Points of a query, at least, after downsampling."""
+
 MIN_UPRIGHT = np.cos(np.radians(15.0))
 
 Floats = NDArray[np.float64]
@@ -59,6 +62,7 @@ def near(points: NDArray[np.floating]) -> Floats:
 
 
 def cloud_of(points: Floats, voxel: float) -> Any:
+    """Return Open3D's cloud of points, downsampled."""
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     return cloud.voxel_down_sample(voxel)
 
@@ -112,6 +116,8 @@ def drawn(query: Target, target: Target, voxel: float) -> Any:
 
 def located(query: Target, targets: list[Target], top: int, voxel: float) -> tuple[Floats, float]:
     """Return the pose of the best fitness after ICP, and that fitness; -1 without any."""
+    if len(query.cloud.points) < FEWEST:
+        return np.eye(4), -1.0
     poses = [(drawn(query, target, voxel), target) for target in targets]
     upright = [found for found in poses if found[0].transformation[2, 2] > MIN_UPRIGHT]
     upright.sort(key=lambda found: -found[0].fitness)
