@@ -18,7 +18,7 @@ MODULES = sorted(
     if '\nif __name__ == "__main__":' in path.read_text("utf-8")
 )
 SHELL = sorted(ROOT.rglob("*.sh"))
-FOREIGN = {"map_closures", "kiss_matcher", "kiss_slam"}
+FOREIGN = {"map_closures", "kiss_matcher", "kiss_slam", "open3d"}
 """Packages of which one must live in an environment of its own."""
 
 

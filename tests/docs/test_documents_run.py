@@ -36,7 +36,7 @@ NOT_RUN = {
     r"segloc localize .*--gnss": "needs a bag with fixes; in tests/cli/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
     r"segloc .*--report": LABORATORY,
-    r"segloc evaluate (all|report)": LABORATORY,
+    r"segloc evaluate (all|report|peers)": LABORATORY,
     r"segloc evaluate localization .*--kitti": LABORATORY,
     r"segloc simulate --suite": "six places, a quarter of an hour; of them lab/tests/simulation",
     r"segloc (train|map|localize|align) .*(kitti|METHOD|2014|worlds|others|harbour|RUN RUN)": (

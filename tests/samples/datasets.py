@@ -137,6 +137,29 @@ def kitti_raw(root: Path, drive: Drive) -> Path:
     return folder
 
 
+def binary_pcd(points: Float64) -> bytes:
+    """A PCD file of x, y, z and intensity."""
+    header = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
+        f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {len(points)}\nDATA binary\n"
+    )
+    return header.encode() + float_rows(points, ones(points))
+
+
+def wild_places(root: Path, drive: Drive) -> Path:
+    """Clouds/SECONDS.pcd with as many digits as Python prints, poses_aligned.csv beside them."""
+    folder = made(root / "V-03")
+    rows = ["timestamp,x,y,z,qx,qy,qz,qw"]
+    for i, T in enumerate(drive.poses):
+        stamp = repr(float(drive.stamps[i]))
+        (made(folder / "Clouds") / f"{stamp}.pcd").write_bytes(binary_pcd(drive.seen(i)))
+        values = [*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat()]
+        rows.append(f"{stamp}," + ",".join(f"{v:.12g}" for v in values))
+    (folder / "poses_aligned.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
 def newer_college(root: Path, drive: Drive) -> Path:
     """raw_format/ouster_scan as binary PCD, registered_poses.csv."""
     folder = made(root / "01_short_experiment")
@@ -145,14 +168,8 @@ def newer_college(root: Path, drive: Drive) -> Path:
     rows = ["#sec,nsec,x,y,z,qx,qy,qz,qw"]
     for i, T in enumerate(drive.poses):
         seconds, rest = divmod(ns(drive.stamps[i]), 10**9)
-        points = drive.seen(i)
-        header = (
-            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
-            f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
-            f"POINTS {len(points)}\nDATA binary\n"
-        )
         scan = made(folder / "raw_format" / "ouster_scan") / f"cloud_{seconds}_{rest:09d}.pcd"
-        scan.write_bytes(header.encode() + float_rows(points, ones(points)))
+        scan.write_bytes(binary_pcd(drive.seen(i)))
         base = T @ geometry.inverse(T_base_lidar)
         values = [*base[:3, 3], *Rotation.from_matrix(base[:3, :3]).as_quat()]
         rows.append(f"{seconds},{rest}," + ",".join(f"{v:.12g}" for v in values))

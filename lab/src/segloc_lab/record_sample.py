@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from segloc import sample
 from segloc.types import Float32, Float64
 
-from .report import parser
+from .script import parser
 from .simulation import (
     Conditions,
     Route,

@@ -24,6 +24,8 @@ from segloc.errors import ConfigError
 from segloc.system.files import write_text
 from segloc.system.machine import processor
 
+from .script import parser
+
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Wilson's score interval of a share at 95 %; (0, 1) of no trials."""
@@ -64,13 +66,6 @@ def mcnemar(a: Sequence[bool], b: Sequence[bool]) -> float:
     if not only_a + only_b:
         return 1.0
     return float(binomtest(only_a, only_a + only_b, 0.5).pvalue)
-
-
-def parser(doc: str | None) -> argparse.ArgumentParser:
-    """Make a parser that shows a module's docstring as its help."""
-    return argparse.ArgumentParser(
-        description=(doc or "").strip(), formatter_class=argparse.RawDescriptionHelpFormatter
-    )
 
 
 def reporting(doc: str | None) -> argparse.ArgumentParser:

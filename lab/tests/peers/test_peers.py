@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from segloc_lab.peers.compare import score, scored, summary, table
+from segloc_lab.peers import branch_and_bound
+from segloc_lab.peers.compare import close, confidence, score, scored, table
 from segloc_lab.peers.exchange import Answers, Clouds, Gathering
 from segloc_lab.peers.scan_context import ScanContexts, sideways
 
 from segloc import geometry
+from segloc.cli import app
+
+SEARCH = branch_and_bound.Settings()
 
 
 def street(seed: int) -> NDArray[np.float32]:
@@ -53,21 +59,134 @@ def test_shifted_scan_context_undoes_a_step_aside() -> None:
     np.testing.assert_allclose(best.T_map_query, views.poses[1] @ aside, atol=1e-6)
 
 
-def test_threshold_is_the_best_wrong_answer(tmp_path: Path) -> None:
+def walls(seed: int) -> NDArray[np.float32]:
+    """Walls around a place at random, and flat ground."""
+    rng = np.random.default_rng(seed)
+    ground = np.c_[rng.uniform(-40, 40, (3000, 2)), np.full(3000, -1.7)]
+    faces = []
+    for _ in range(25):
+        along, turn = rng.uniform(0, rng.uniform(4, 15), 400), rng.uniform(0, np.pi)
+        line = rng.uniform(-35, 35, 2) + along[:, None] * (np.cos(turn), np.sin(turn))
+        faces.append(np.c_[line, rng.uniform(-1.7, 3, 400)])
+    return np.concatenate([ground, *faces]).astype(np.float32)
+
+
+def walled(folder: Path) -> Path:
+    """A protocol: three places, and one query in each of two, moved and turned."""
+    views, queries = Gathering(), Gathering()
+    for seed in range(3):
+        T = geometry.yaw_transform(seed, (100.0 * seed, 0.0, 2.0))
+        views.add(walls(seed), T)
+        if seed:
+            moved = geometry.yaw_transform(2.0 * seed, (4.0, -3.0 * seed, 0.0))
+            queries.add(geometry.transform(geometry.inverse(moved), walls(seed)), T @ moved)
+    folder.mkdir(parents=True)
+    views.clouds().save(folder / "views-scan.npz")
+    queries.clouds().save(folder / "queries.npz")
+    return folder
+
+
+def test_branch_and_bound_finds_the_pose(tmp_path: Path) -> None:
+    folder = walled(tmp_path / "walls")
+    queries, grid = (
+        Clouds.load(folder / "queries.npz"),
+        branch_and_bound.grid_of(Clouds.load(folder / "views-scan.npz"), SEARCH),
+    )
+    for q in range(len(queries)):
+        share, x, y, yaw = grid.search(SEARCH.slice(queries[q]))[0]
+        off = geometry.inverse(queries.poses[q]) @ geometry.yaw_transform(
+            yaw, (x, y, queries.poses[q][2, 3])
+        )
+        assert share > 0.6 and np.hypot(*off[:2, 3]) < 0.8
+        assert abs(np.degrees(geometry.heading(off))) < 2
+
+
+def test_branch_and_bound_finds_nothing_without_points_at_sensor_height(tmp_path: Path) -> None:
+    views = Clouds.load(walled(tmp_path / "walls") / "views-scan.npz")
+    ground = views[0][views[0][:, 2] < SEARCH.low_m]
+    assert branch_and_bound.grid_of(views, SEARCH).search(SEARCH.slice(ground)) == []
+
+
+def test_branch_and_bound_finds_what_a_full_search_finds() -> None:
+    """Bounds drop no window that holds the best pose."""
+    rng = np.random.default_rng(5)
+    small = replace(SEARCH, radius_m=10.0, top=1)
+    grid = branch_and_bound.Grid(rng.uniform(0, 30, (500, 2)), small)
+    xy = rng.uniform(-8, 8, (40, 2))
+    turns = branch_and_bound.turned(xy, small)
+    level, margin = grid.levels[0], grid.margin
+    best = 0.0
+    for cells in turns:
+        for i in range(grid.shape[0]):
+            for j in range(grid.shape[1]):
+                at = cells + (i + margin, j + margin)
+                best = max(best, float(level[at[:, 0], at[:, 1]].mean()))
+    assert grid.search(xy)[0][0] >= best
+
+
+def test_a_peer_resumes_and_its_answers_are_tabled(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verbs: None
+) -> None:
+    def evaluate(*more: str) -> str:
+        given = ("--sets", "park", "--peers", "branch-and-bound,open3d", "--out", str(tmp_path))
+        app(["evaluate", "peers", *given, *more], standalone_mode=False)
+        return capsys.readouterr().out
+
+    folder = walled(tmp_path / "park")
+    nothing = tmp_path / "python"
+    nothing.write_text("#!/bin/sh\nexit 1\n")
+    nothing.chmod(0o755)
+    printed = evaluate("--python", f"open3d={nothing}")
+    assert (
+        "| 2D branch and bound, GICP | 2 | 2 of 2 | 2 of 2 | 2 of 2 | 0 of 2 (< 65.8 %) |"
+        in printed
+    )
+    assert "| Open3D FPFH, RANSAC, ICP | not installed |" in printed
+    answers = folder / "answers-branch_and_bound.npz"
+    written = answers.stat().st_mtime_ns
+    evaluate("--python", f"open3d={nothing}")
+    assert answers.stat().st_mtime_ns == written
+
+
+def test_open3d_finds_the_pose(tmp_path: Path) -> None:
+    open3d_query = pytest.importorskip("segloc_lab.peers.open3d_query", exc_type=ImportError)
+    folder = walled(tmp_path / "walls")
+    options = Namespace(views="scan", voxel=1.0, whole=1, apart=20.0, top=3, every=1)
+    open3d_query.answer(folder, options)
+    queries, answers = (
+        Clouds.load(folder / "queries.npz"),
+        Answers.load(folder / "answers-open3d.npz"),
+    )
+    assert close(answers.poses, queries.poses, 0.5, 2.0).all()
+
+
+def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
+    """Answers of a peer to a query at each of four places 100 m apart."""
     queries = places()
     answers = Answers(len(queries))
-    for q, (wrong, value) in enumerate([(False, 0.9), (True, 0.6), (False, 0.5), (False, 0.7)]):
+    for q, (off, value) in enumerate(zip(wrong, scores, strict=True)):
         T = queries.poses[q].copy()
-        T[0, 3] += 4.0 if wrong else 1.0
-        with answers.timed(q):
-            answers.give(q, T, value)
-    answers.save(tmp_path, "peer")
-    queries.save(tmp_path / "queries.npz")
-    result = score(tmp_path / "answers-peer.npz", Clouds.load(tmp_path / "queries.npz"))
-    assert result.threshold == 0.6
+        T[0, 3] += 4.0 if off else 1.0
+        answers.give(q, T, value)
+        answers.save(folder, "peer", q)
+    queries.save(folder / "queries.npz")
+    queries.save(folder / "views-scan.npz")
+    return queries
+
+
+def test_a_threshold_is_chosen_at_other_places(tmp_path: Path) -> None:
+    queries = answered(tmp_path, [False, True, False, True], [0.9, 0.6, 0.5, 0.8])
+    result = score(tmp_path / "answers-peer.npz", queries)
+    assert result.right.tolist() == [[False] * 4, *[[True, False, True, False]] * 2]
+    # Chosen without the place itself: 0.8, 0.85, 0.85, and 0.75 at the last, halfway to 0.9.
     assert result.taken.tolist() == [True, False, False, True]
-    assert result.right.tolist() == [True, False, True, True]
-    columns, ((name, queries, right, *rest),) = table(scored(tmp_path))
-    assert columns[2] == "all" and (name, queries, right) == ("peer", 4, "2 of 4")
-    assert rest[:-1] == [0, "3 of 4", "0.6"]
-    assert summary([scored(tmp_path)]) == [("peer", 1, "2 of 4", "2 of 4")]
+    (row,) = table(scored(tmp_path)).rows
+    assert row[:5] == ("peer", 4, "0 of 4", "1 of 4", "1 of 4")
+    assert row[5] == "1 of 4 (< 69.9 %)" and row[6] == "0 of 0"
+
+
+def test_confidence_is_rated_over_all_thresholds(tmp_path: Path) -> None:
+    queries = answered(tmp_path, [False, True, False, False], [0.9, 0.6, 0.5, 0.7])
+    f1, auc = confidence(score(tmp_path / "answers-peer.npz", queries), np.ones(4, dtype=bool))
+    assert f1 == pytest.approx(3 / 4)  # all accepted; the best two have recall 1/2
+    assert auc == pytest.approx(0.25 * (1 + 1 + 3 / 4))

@@ -15,6 +15,7 @@ from .loaders import (
     newer_college,
     nuscenes,
     robotcar,
+    wild_places,
 )
 from .packets import ouster, velodyne
 from .recorded import Found
@@ -36,7 +37,7 @@ class Format(Protocol):
 
 _MODULES = (
     bags, kitti_raw, kitti, robotcar, newer_college, nclt, boreas, helipr, mulran, nuscenes,
-    ouster, velodyne,
+    wild_places, ouster, velodyne,
 )  # fmt: skip
 FORMATS = tuple(cast(Format, module) for module in _MODULES)
 """In order of precedence."""

@@ -20,6 +20,7 @@ from samples.datasets import (
     nclt,
     newer_college,
     nuscenes,
+    wild_places,
 )
 
 from segloc import geometry
@@ -42,6 +43,7 @@ WRITERS: dict[str, tuple[Callable[[Path, Drive], Path], str]] = {
     "NCLT": (nclt, "velodyne_sync"),
     "Boreas": (boreas, "lidar"),
     "nuScenes": (nuscenes, ""),
+    "Wild-Places": (wild_places, "Clouds"),
 } | {f"HeLiPR {name}": (sensor_of(name), f"LiDAR/{name}") for name in HELIPR_POINTS}
 
 

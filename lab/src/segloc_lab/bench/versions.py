@@ -26,7 +26,7 @@ from segloc.map import DEFAULT_METHOD
 from segloc.types import Float32
 
 from ..padding import padded_with_copies
-from ..report import parser
+from ..script import parser
 from .query import MAP_SEGMENTS, simulated_scene
 
 OURS = "this"

@@ -31,7 +31,8 @@ from segloc.likelihood import ERRORS, ErrorModel
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..protocols.real import maps, queries, sources
-from ..report import head, parser, row
+from ..report import head, row
+from ..script import parser
 from .worlds import EVERY_M, KINDS, SimulatedWorld, views, worlds
 
 FALSE_M, FALSE_DEG = 1.0, 5.0

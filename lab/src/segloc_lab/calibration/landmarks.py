@@ -30,7 +30,7 @@ from segloc.proposals import (
 )
 from segloc.types import Float64, Pose
 
-from ..report import parser
+from ..script import parser
 
 LEAN_RAD = math.radians(4.0)
 

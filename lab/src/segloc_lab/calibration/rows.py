@@ -25,7 +25,7 @@ from segloc.proposals import Query
 from segloc.types import Float32, Float64, Int64, Pose
 
 from ..padding import mirrored, padded
-from ..report import parser
+from ..script import parser
 from .worlds import KINDS, Made, load_queries
 
 PADDED = 60_000

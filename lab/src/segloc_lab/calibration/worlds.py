@@ -31,7 +31,7 @@ from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
 from segloc.types import Float32, Float64, Int64, Pose
 
-from ..report import parser
+from ..script import parser
 from ..simulation import (
     SCENES,
     SENSORS,

@@ -17,7 +17,7 @@ from segloc.cli.options import Cluster
 from segloc.cli.verbs import group
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 
-from . import evaluate_failures
+from . import evaluate_failures, evaluate_peers
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -264,6 +264,7 @@ def register() -> None:
     app.command("localization")(localization)
     app.command("kitti-paper")(kitti_paper)
     evaluate_failures.register(app)
+    evaluate_peers.register(app)
 
 
 def _add(group: typer.Typer, name: str) -> None:

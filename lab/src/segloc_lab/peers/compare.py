@@ -1,196 +1,324 @@
-"""One table of all answers to a protocol, each peer at its best threshold with no false answer.
+"""Tables of all answers to the queries of all protocols, with thresholds chosen elsewhere.
 
-    python -m segloc_lab.peers.compare OUT/single OUT/town [--curve FIGURE.svg]
+    python -m segloc_lab.peers.compare OUT/single OUT/town --report FOLDER
 
-The threshold of a system without a verdict of its own is the highest score of any of its wrong
-answers to these very queries: no user could know it, so this favours the peers. ``all taken`` is
-what its best answers are worth without a threshold. An answer is right within 3 m and 5 degrees.
+A system without a decision of its own accepts a query's answer above a threshold that is chosen on
+other places, the queries outside of the query's 100 m square: halfway between the highest score of
+a wrong answer and the next score of a right one above it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..report import Cell, Table, publish, reporting
+from ..report import Cell, Table, publish, reporting, wilson
 from .exchange import Answers, Clouds
 
 LABELS = {
     "segloc-profile": "segloc",
-    "scan_context": "Scan Context",
-    "kiss_matcher": "KISS-Matcher",
+    "segloc-profile-alone": "segloc, segments alone",
+    "scan_context": "Scan Context, GICP, overlap",
+    "scan_context-alone": "Scan Context alone",
+    "kiss_matcher": "KISS-Matcher, GICP, overlap",
+    "kiss_matcher-inliers": "KISS-Matcher, its inliers",
     "map_closures": "map-closures",
-    "-shifted": ", shifted",
-    "-top3": ", GICP, overlap",
-    "-inliers": ", its inliers",
-    "-alone": " alone",
-    "-scan": "",
-    "-long": "",
-    "-short": "",
+    "open3d": "Open3D FPFH, RANSAC, ICP",
+    "branch_and_bound": "2D branch and bound, GICP",
 }
-"""Parts of the names of answers, as people read them."""
+"""Systems by the names of their answers."""
 
-RIGHT_M, RIGHT_DEG = 3.0, 5.0
+RIGHT = ((0.5, 2.0), (2.0, 5.0), (3.0, 5.0))
+"""Errors up to which a pose counts as found [m, deg]; by the last it is right, or false."""
+
+SQUARE_M = 100.0
+"""Side of a place: a threshold for one is chosen on all others."""
+
 ELSEWHERE = "elsewhere"
+NOTE = (
+    "Found: of the queries within map coverage, the answers accepted within these errors. False: "
+    "accepted answers beyond 3 m or 5 degrees, of queries within map coverage and outside of it; "
+    "in brackets the upper end of Wilson's 95 % interval. F1max and AUC (area under precision over "
+    "recall) rate the confidence, over all thresholds. ms: processor time of a query on one core, "
+    "median / 95 %. MB per km: what the system keeps of the map, per kilometre of its path."
+)
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Score:
-    """How one system did; arrays have a value a query.
+    """How one system did; arrays have a value per query.
 
     Attributes
     ----------
-    queried, right, taken : (N,) bool
-        Taken are the answers above the threshold or, with a verdict, those that it believes.
-    scores : (N,) float64
-    threshold : float
-        NaN for a system with a verdict of its own.
+    system : str
+        Name of its answers.
+    answers : Answers
+    right : (3, N) bool
+        Whether the answer is within each of :data:`RIGHT`.
+    taken : (N,) bool
+        Answers that the system accepts or, without one, those above the threshold.
     """
 
     system: str
-    queried: Bools
+    answers: Answers
     right: Bools
     taken: Bools
-    scores: NDArray[np.float64]
-    threshold: float
-    ms: float
 
-    def above(self, threshold: float) -> Bools:
-        """The right answers that another threshold would take; its own verdict stands."""
-        return self.right & (self.taken if math.isnan(self.threshold) else self.scores > threshold)
+    @property
+    def decides(self) -> bool:
+        """Whether the system has a decision of its own."""
+        return bool(self.answers.decides)
+
+    @property
+    def wrong(self) -> Bools:
+        """Answers that are not right, accepted or not."""
+        found: Bools = answered(self.answers) & ~self.right[-1]
+        return found
+
+    def taken_above(self, threshold: float) -> Bools:
+        """Return the answers that another threshold accepts; a decision of its own stands."""
+        if self.decides:
+            return self.taken
+        return answered(self.answers) & (self.answers.scores > threshold)
 
 
-Part: TypeAlias = tuple[Clouds, list[Score]]
-"""The queries of a protocol and how the systems did."""
+@dataclass(frozen=True)
+class Part:
+    """The queries of a protocol, how the systems did, and the length of the map."""
+
+    name: str
+    queries: Clouds
+    scores: list[Score]
+    map_km: float
+
+
+def answered(answers: Answers) -> Bools:
+    """Return which queries have an answer, accepted or not."""
+    given: Bools = answers.queried & np.isfinite(answers.poses).all(axis=(1, 2))
+    return given
 
 
 def score(path: Path, queries: Clouds) -> Score:
+    """Return how the system did whose answers lie in a file."""
     answers = Answers.load(path)
-    given = answers.queried & np.isfinite(answers.poses).all(axis=(1, 2))
-    right = given & close(answers.poses, queries.poses)
-    threshold = math.nan
-    taken = given
-    if not answers.verdict:
-        wrong = given & ~right
-        threshold = float(answers.scores[wrong].max()) if wrong.any() else -math.inf
-        taken = given & (answers.scores > threshold)
-    name = path.stem.removeprefix("answers-")
-    ms = float(np.median(answers.ms[answers.queried]))
-    return Score(name, answers.queried, right, taken, answers.scores, threshold, ms)
+    given = answered(answers)
+    right = np.stack([given & close(answers.poses, queries.poses, *each) for each in RIGHT])
+    if answers.decides:
+        taken = given & answers.accepted
+    else:
+        thresholds = left_out(answers.scores, given & ~right[-1], right[-1], squares(queries))
+        taken = given & (answers.scores > thresholds)
+    return Score(path.stem.removeprefix("answers-"), answers, right, taken)
 
 
-def close(poses: NDArray[np.float64], truths: NDArray[np.float64]) -> Bools:
-    """Which poses are right, (N,) bool."""
-    metres = np.linalg.norm(poses[:, :3, 3] - truths[:, :3, 3], axis=1)
+def close(poses: Floats, truths: Floats, metres: float, degrees: float) -> Bools:
+    """Return which poses lie within these errors, (N,) bool."""
+    off = np.linalg.norm(poses[:, :3, 3] - truths[:, :3, 3], axis=1)
     traces = np.einsum("nij,nij->n", poses[:, :3, :3], truths[:, :3, :3])
-    degrees = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    right: Bools = (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
+    turned = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    right: Bools = (off <= metres) & (turned <= degrees)
     return right
 
 
-def scored(folder: Path) -> Part:
-    """One protocol with all answers to it, those that find most first."""
+def squares(queries: Clouds) -> NDArray[np.int64]:
+    """Return the place of each query, a square of its world, (N,) int64."""
+    cells = np.floor(queries.poses[:, :2, 3] / SQUARE_M).astype(np.int64)
+    keys = np.column_stack([cells, queries.group == ELSEWHERE])
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def left_out(scores: Floats, wrong: Bools, right: Bools, places: NDArray[np.int64]) -> Floats:
+    """Return the threshold that the answers at all other places imply, (N,) float64."""
+    others = [places != place for place in range(max(places) + 1)]
+    return np.array([threshold(scores[wrong & o], scores[right & o]) for o in others])[places]
+
+
+def threshold(wrong: Floats, right: Floats) -> float:
+    """Return a score between the highest wrong answer and the next right one above it."""
+    highest = float(wrong.max(initial=-math.inf))
+    above = right[right > highest]
+    return (highest + float(above.min())) / 2 if len(above) and len(wrong) else highest
+
+
+def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
+    """Return one protocol with these or all answers to it, those that find most first."""
     queries = Clouds.load(folder / "queries.npz")
-    scores = [score(path, queries) for path in sorted(folder.glob("answers-*.npz"))]
-    scores.sort(key=lambda s: -int((s.right & s.taken & queries.within_coverage).sum()))
-    return queries, scores
+    paths = {path.stem.removeprefix("answers-"): path for path in folder.glob("answers-*.npz")}
+    kept = sorted(paths if systems is None else paths.keys() & systems)
+    scores = [score(paths[name], queries) for name in kept]
+    scores.sort(key=lambda s: -int((s.right[-1] & s.taken & queries.within_coverage).sum()))
+    return Part(folder.name, queries, scores, path_km(Clouds.load(folder / "views-scan.npz")))
 
 
-def table(part: Part) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
-    """Columns, and a row a system."""
-    queries, scores = part
-    groups = [g for g in dict.fromkeys(queries.group.tolist()) if g != ELSEWHERE]
-    columns = ("system", "queries", *groups, "false", "all taken", "threshold", "ms")
-    return columns, [_row(s, queries, groups) for s in scores]
+def path_km(views: Clouds) -> float:
+    """Return the length of a mapped path without its gaps [km]."""
+    steps = np.linalg.norm(np.diff(views.poses[:, :3, 3], axis=0), axis=1)
+    return float(steps[steps < 10.0].sum()) / 1000
 
 
-def _row(s: Score, queries: Clouds, groups: list[str]) -> tuple[Cell, ...]:
-    decides = math.isnan(s.threshold)
-    place = s.queried & queries.within_coverage
+COLUMNS = (
+    "system",
+    "queries",
+    *(f"found {metres:g} m, {degrees:g} deg" for metres, degrees in RIGHT),
+    "false in the map",
+    "false outside",
+    "F1max",
+    "AUC",
+    "ms",
+    "MB per km",
+    "trained on",
+)
+
+
+def table(part: Part, missing: Mapping[str, str] | None = None) -> Table:
+    """Return the table of a protocol; ``missing`` systems have a row that says why."""
+    rows = [_row(s, part) for s in part.scores]
+    for system, why in (missing or {}).items():
+        rows.append((label(system), why, *[None] * (len(COLUMNS) - 2)))
+    return Table(COLUMNS, rows, NOTE, part.name)
+
+
+def _row(s: Score, part: Part) -> tuple[Cell, ...]:
+    inside, queried = part.queries.within_coverage, s.answers.queried
+    place = queried & inside
+    f1, auc = confidence(s, place)
+    size = float(s.answers.map_bytes) / 1e6 / part.map_km if part.map_km else math.nan
+    ms = s.answers.ms[queried]
     return (
         label(s.system),
-        int(s.queried.sum()),
-        *(found(s, queries, queries.group == group) for group in groups),
-        int((s.taken & ~s.right).sum()),
-        None if decides else f"{int((s.right & place).sum())} of {int(place.sum())}",
-        "own verdict" if decides else f"{s.threshold:.3g}",
-        round(s.ms),
+        int(queried.sum()),
+        *(f"{int((right & s.taken & place).sum())} of {int(place.sum())}" for right in s.right),
+        bounded(s.taken & s.wrong & inside, place),
+        bounded(s.taken & s.wrong & ~inside, queried & ~inside),
+        round(f1, 3),
+        round(auc, 3),
+        f"{np.median(ms):.0f} / {np.percentile(ms, 95):.0f}" if len(ms) else None,
+        round(size, 1) if math.isfinite(size) else None,
+        str(s.answers.trained),
     )
 
 
-def label(system: str) -> str:
-    """The name of a system, of that of its answers."""
-    for part, words in LABELS.items():
-        system = system.replace(part, words)
-    return system
+def bounded(false: Bools, trials: Bools) -> str:
+    """Format a count of false answers with its upper bound in percent."""
+    count, total = int(false.sum()), int(trials.sum())
+    return f"{count} of {total}" + (f" (< {100 * wilson(count, total)[1]:.1f} %)" if total else "")
 
 
-def found(s: Score, queries: Clouds, member: Bools) -> str:
-    place = s.queried & queries.within_coverage & member
-    return f"{int((s.right & s.taken & place).sum())} of {int(place.sum())}"
+def confidence(s: Score, place: Bools) -> tuple[float, float]:
+    """Return the best F1 over all thresholds, and the area under precision over recall.
 
-
-TOGETHER = ("system", "protocols", "threshold each", "one threshold")
-
-
-def summary(parts: Sequence[Part]) -> list[tuple[Cell, ...]]:
-    """What each system finds in all protocols, with a threshold for each and with one.
-
-    One threshold is what a user could set, the highest that any of the protocols needs.
+    Right answers outside of map coverage count neither way.
     """
+    counted = answered(s.answers) & (place | s.wrong)
+    order = np.argsort(-s.answers.scores[counted], kind="stable")
+    scores, right = s.answers.scores[counted][order], s.right[-1][counted][order]
+    if not right.any():
+        return 0.0, 0.0
+    last = np.append(np.diff(scores) != 0, True)  # equal scores are accepted together
+    found = np.cumsum(right)[last]
+    precision = found / (np.flatnonzero(last) + 1)
+    recall = found / max(int(place.sum()), 1)
+    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
+    return float(f1.max()), float((np.diff(recall, prepend=0.0) * precision).sum())
+
+
+def label(system: str) -> str:
+    """Return the name of a system from that of its answers."""
+    return LABELS.get(system, system.replace("segloc-", "segloc with "))
+
+
+def grouped(part: Part) -> Table | None:
+    """Return what each system finds by group of queries; None if there is one group."""
+    groups = [g for g in dict.fromkeys(part.queries.group.tolist()) if g != ELSEWHERE]
+    if len(groups) < 2:
+        return None
+    rows = [
+        (label(s.system), *(found(s, s.taken, part.queries, group) for group in groups))
+        for s in part.scores
+    ]
+    return Table(("system", *groups), rows, "", f"{part.name}, by kind of query")
+
+
+def found(s: Score, taken: Bools, queries: Clouds, group: str | None = None) -> str:
+    """Format how many queries within map coverage are found."""
+    place = s.answers.queried & queries.within_coverage
+    if group is not None:
+        place = place & (queries.group == group)
+    return f"{int((s.right[-1] & taken & place).sum())} of {int(place.sum())}"
+
+
+def refusals(parts: Sequence[Part]) -> Table:
+    """Return why the systems with a decision of their own refused queries."""
+    rows = []
+    for part in parts:
+        inside = part.queries.within_coverage
+        for s in (s for s in part.scores if s.decides):
+            refused = s.answers.queried & ~s.taken
+            counts = (
+                Counter(s.answers.reasons[refused & side].tolist()) for side in (inside, ~inside)
+            )
+            rows.append((part.name, label(s.system), *map(_counted, counts)))
+    return Table(("set", "system", "refused in the map", "refused outside"), rows, "", "Refusals")
+
+
+def _counted(reasons: Counter[str]) -> str:
+    return ", ".join(f"{n} {reason}" for reason, n in reasons.most_common()) or "none"
+
+
+TRANSFER = ("set", "system", "found", "false in the map", "false outside")
+
+
+def transfer(parts: Sequence[Part]) -> Table:
+    """Return how systems do with a threshold of the other sets: none is known of their own."""
     rows: list[tuple[Cell, ...]] = []
-    for system in dict.fromkeys(label(s.system) for _, scores in parts for s in scores):
-        own = [(q, s) for q, scores in parts for s in scores if label(s.system) == system]
-        highest = max(s.threshold for _, s in own)
-        places = sum(int((s.queried & q.within_coverage).sum()) for q, s in own)
-        each = sum(int((s.right & s.taken & q.within_coverage).sum()) for q, s in own)
-        one = sum(int((s.above(highest) & q.within_coverage).sum()) for q, s in own)
-        rows.append((system, len(own), f"{each} of {places}", f"{one} of {places}"))
-    return rows
+    for part in parts:
+        inside = part.queries.within_coverage
+        for s in part.scores:
+            others = [o for p in parts if p is not part for o in p.scores if o.system == s.system]
+            if not others:
+                continue
+            wrong = np.concatenate([o.answers.scores[o.wrong] for o in others])
+            right = np.concatenate([o.answers.scores[o.right[-1]] for o in others])
+            taken = s.taken_above(threshold(wrong, right))
+            rows.append(
+                (
+                    part.name,
+                    label(s.system),
+                    found(s, taken, part.queries),
+                    bounded(taken & s.wrong & inside, s.answers.queried & inside),
+                    bounded(taken & s.wrong & ~inside, s.answers.queried & ~inside),
+                )
+            )
+    note = "Chosen by the same rule on all other sets; segloc has its own decision."
+    return Table(TRANSFER, rows, note, "Thresholds of the other sets")
 
 
-def curve(parts: Sequence[Part], systems: list[str], file: Path) -> None:
-    """Draw the share found over the sideways distance from the mapped path."""
-    import matplotlib.pyplot as plt
-
-    plt.rcParams["svg.hashsalt"] = "segloc"
-    figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
-    for system in systems:
-        counts: dict[float, list[int]] = {}
-        for queries, scores in parts:
-            for s in (s for s in scores if s.system == system):
-                for i in np.flatnonzero(s.queried & np.char.endswith(queries.group, "m beside")):
-                    offset = float(queries.group[i].split()[0])
-                    counts.setdefault(offset, []).append(int(s.right[i] and s.taken[i]))
-        x = sorted(counts)
-        axes.plot(x, [100 * np.mean(counts[o]) for o in x], marker="o", label=label(system))
-    axes.set(xlabel="metres beside the mapped path", ylabel="found, %", ylim=(-3, 103))
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
-    figure.savefig(file, metadata={"Date": None})
+def tables(
+    folders: Sequence[Path],
+    systems: Collection[str] | None = None,
+    missing: Mapping[str, str] | None = None,
+) -> list[Table]:
+    """Return all tables of the protocols in these folders, of these or all systems."""
+    parts = [scored(folder, systems) for folder in folders]
+    every = [each for part in parts for each in (table(part, missing), grouped(part)) if each]
+    more = [transfer(parts), refusals(parts)]
+    return every + [each for each in more if each.rows]
 
 
 def main() -> None:
     parsed = reporting(__doc__)
     parsed.add_argument("folders", nargs="+", type=Path)
-    parsed.add_argument("--curve", type=Path, help="draw the simulated offsets of all folders")
-    parsed.add_argument("--drawn", nargs="*", default=[], help="the systems in the curve")
     options = parsed.parse_args()
-    parts = {folder.name: scored(folder) for folder in options.folders}
-    tables = {name: table(part) for name, part in parts.items()}
-    tables["together"] = (TOGETHER, summary(list(parts.values())))
-    found = (Table(columns, rows, title=name) for name, (columns, rows) in tables.items())
-    publish(options.report, "Other systems on the same clouds", *found)
-    if options.curve:
-        curve(list(parts.values()), options.drawn, options.curve)
+    publish(options.report, "Other systems on the same clouds", *tables(options.folders))
 
 
 if __name__ == "__main__":

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import argparse
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +52,7 @@ class Clouds:
         return self.points[self.offsets[i] : self.offsets[i + 1]]
 
     def save(self, path: Path) -> None:
-        np.savez(path, **vars(self))
+        _replace(path, **vars(self))
 
     @classmethod
     def load(cls, path: Path) -> Clouds:
@@ -89,32 +91,79 @@ class Gathering:
 
 
 class Answers:
-    """One system's answers to the queries of a protocol.
+    """One system's answers to the queries of a protocol, kept query by query.
 
-    A system with its own decision accepts or rejects each answer; the others give
-    scores, and their threshold is set afterwards (see ``compare.py``).
+    A system with a decision of its own (``decides``) tells which answers it accepts, and why it
+    refuses the others; the threshold of all others is set afterwards (see ``compare.py``).
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64
+        NaN without an answer.
+    scores : (N,) float64
+        Larger for better answers; -inf without one.
+    ms : (N,) float64
+        Processor time.
+    queried, accepted : (N,) bool
+    reasons : (N,) str
+        Why a query was refused; "" where it was not.
+    map_bytes : float
+        Size of what the system keeps of the map; NaN if unknown.
+    trained : str
+        What it was trained on.
+    key : int
+        Identifies queries and settings.
     """
 
-    def __init__(self, count: int, *, verdict: bool = False) -> None:
+    def __init__(self, count: int, *, decides: bool = False, trained: str = "-", key: int = 0):
         self.poses = np.full((count, 4, 4), np.nan)
         self.scores = np.full(count, -np.inf)
         self.ms = np.zeros(count)
         self.queried = np.zeros(count, dtype=bool)
-        self.verdict = np.array(verdict)
+        self.accepted = np.zeros(count, dtype=bool)
+        self.reasons = np.full(count, "", dtype="<U40")
+        self.decides = np.array(decides)
+        self.map_bytes = np.array(np.nan)
+        self.trained = np.array(trained)
+        self.key = np.array(key)
+
+    @classmethod
+    def resume(
+        cls,
+        folder: Path,
+        system: str,
+        queries: Clouds,
+        settings: str,
+        *,
+        decides: bool = False,
+        trained: str = "nothing",
+    ) -> Answers:
+        """Return the answers kept of the same queries and settings; none without any."""
+        key = zlib.crc32(queries.poses.tobytes() + queries.offsets.tobytes() + settings.encode())
+        path = answers_path(folder, system)
+        if path.exists() and int((kept := cls.load(path)).key) == key:
+            return kept
+        return cls(len(queries), decides=decides, trained=trained, key=key)
+
+    def pending(self, every: int) -> list[int]:
+        """Return which queries are still to be answered."""
+        return [q for q in range(0, len(self.queried), every) if not self.queried[q]]
 
     @contextmanager
     def timed(self, query: int) -> Iterator[None]:
-        """Adds processor time spent on a query."""
+        """Add processor time spent on a query."""
         start = time.process_time()
         yield
         self.ms[query] += 1e3 * (time.process_time() - start)
-        self.queried[query] = True
 
     def give(self, query: int, pose: NDArray[np.float64], score: float) -> None:
+        """Keep an answer."""
         self.poses[query], self.scores[query] = pose, score
 
-    def save(self, folder: Path, system: str) -> None:
-        np.savez(folder / f"answers-{system}.npz", **vars(self))
+    def save(self, folder: Path, system: str, done: int) -> None:
+        """Write the file anew, with one more query done."""
+        self.queried[done] = True
+        _replace(answers_path(folder, system), **vars(self))
 
     @classmethod
     def load(cls, path: Path) -> Answers:
@@ -125,12 +174,29 @@ class Answers:
         return answers
 
 
+def answers_path(folder: Path, system: str) -> Path:
+    """Return the file of a system's answers."""
+    return folder / f"answers-{system}.npz"
+
+
+def _replace(path: Path, **arrays: Any) -> None:
+    """Write arrays to a file that is complete whenever it exists."""
+    part = path.with_name(f".{path.name}")
+    np.savez(part, **arrays)
+    part.replace(path)
+
+
+def settings_of(options: argparse.Namespace) -> str:
+    """Return the options that answers depend on, as text."""
+    return str(sorted((k, v) for k, v in vars(options).items() if k not in ("folders", "every")))
+
+
 def run(
     parser: argparse.ArgumentParser, answer: Callable[[Path, argparse.Namespace], None]
 ) -> None:
     """Answer the protocols that the command line names, by options that all systems share."""
     parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--every", type=int, default=1, help="use every N-th query")
+    parser.add_argument("--every", type=int, default=1, help="answer every N-th query only")
     options = parser.parse_args()
     for folder in options.folders:
         answer(folder, options)

@@ -1,8 +1,5 @@
 """Write the queries of all systems, and the clouds that their maps are made of.
 
-    python -m segloc_lab.peers.export OUT accumulated sparse single --data KITTI00
-    python -m segloc_lab.peers.export OUT town park
-
 Views of the map come in three lengths, and every system may take what suits it: ``long`` gathers
 the scans of 40 m around a pose, ``short`` those of 16 m, ``scan`` is a scan alone.
 """
@@ -24,8 +21,8 @@ from segloc.system import kernels
 from segloc.types import Float64, LocalCloud
 
 from .. import kitti00
+from ..protocols.accuracy import VOXEL_M, Reference
 from ..recordings import beside, has_room
-from ..report import parser
 from ..simulation import (
     SCENES,
     Conditions,
@@ -87,7 +84,6 @@ def write_map(recording: Recording, folder: Path) -> None:
     for name, length in VIEWS_M.items():
         clouds = views(Cached(recording), length, VIEW_EVERY_M[name])
         clouds.save(folder / f"views-{name}.npz")
-        print(f"{folder.name}: {len(clouds)} views {name}", flush=True)
 
 
 def add_accumulated(
@@ -105,8 +101,12 @@ def add_accumulated(
 # --- the protocols on real scans ------------------------------------------------------------------
 
 
-def kitti(data: Path, out: Path, protocol: str, every: int) -> None:
-    """One of the three protocols of KITTI 00 (see ``protocols/kitti00.sh``)."""
+def kitti(data: Path, folder: Path, protocol: str, every: int) -> None:
+    """One of the three protocols of KITTI 00 (see ``protocols/kitti00.sh``).
+
+    Its ground truth agrees from pass to pass to about a metre only: queries within map coverage are
+    aligned with the map (see ``protocols/accuracy.py``) where two starts end at the same pose.
+    """
     prior_map = kitti00.mapped(data, protocol)
     queries = kitti00.query_set(data, protocol, every)
     path, truths, found = kitti00.poses_of(prior_map), queries.truths, Gathering()
@@ -117,8 +117,22 @@ def kitti(data: Path, out: Path, protocol: str, every: int) -> None:
         near = distances_to_path(truths, path) <= COVERAGE_RADIUS_M
         for i, truth, inside in zip(queries.positions.tolist(), truths, near, strict=True):
             found.add(queries.recording.scan(i).points, truth, 1, bool(inside))
-    write_map(prior_map, out / protocol)
-    found.clouds().save(out / protocol / "queries.npz")
+    write_map(prior_map, folder)
+    registered(found.clouds(), Clouds.load(folder / "views-scan.npz")).save(folder / "queries.npz")
+
+
+def registered(queries: Clouds, views: Clouds) -> Clouds:
+    """Return the queries with poses aligned with the map that the views make up."""
+    origin = views.poses[0, :3, 3]
+    parts = [geometry.transform(T, views[i]) - origin for i, T in enumerate(views.poses)]
+    cloud = kernels.voxel_grid(np.concatenate(parts).astype(np.float32), VOXEL_M)
+    reference = Reference(cloud, origin)
+    poses = queries.poses.copy()
+    for q in np.flatnonzero(queries.within_coverage).tolist():
+        aligned = reference.pose(queries[q], poses[q])
+        if aligned is not None:
+            poses[q] = aligned
+    return replace(queries, poses=poses)
 
 
 # --- the protocols on simulated scans -------------------------------------------------------------
@@ -134,7 +148,7 @@ def add_scans(found: Gathering, drive: SimulatedSequence, every: int, group: str
             )
 
 
-def simulated(out: Path, scene: str, every: int, seed: int = 8000) -> None:
+def simulated(folder: Path, scene: str, every: int, seed: int = 8000) -> None:
     """A simulated world mapped, then seen from beside, in the opposite direction, and changed."""
     paths = []
     for number in (seed, seed + 1000):
@@ -143,7 +157,7 @@ def simulated(out: Path, scene: str, every: int, seed: int = 8000) -> None:
     (here, there), lidar = paths, hdl64e(900)
     prior_map = drive_along(here, 0, lidar, seed, Conditions())
     again = drive_along(here, 1, lidar, seed, Conditions(replaced=0.1))
-    write_map(prior_map, out / scene)
+    write_map(prior_map, folder)
     found = Gathering()
     for offset, side in offsets():
         add_scans(found, beside(again, again.truth, side), every, f"{offset:g} m beside")
@@ -151,7 +165,7 @@ def simulated(out: Path, scene: str, every: int, seed: int = 8000) -> None:
     later = drive_along(here, 2, lidar, seed, CHANGED)
     add_scans(found, later, every, "changed")
     add_scans(found, drive_along(there, 0, lidar, seed, Conditions()), every // 4, "elsewhere")
-    found.clouds().save(out / scene / "queries.npz")
+    found.clouds().save(folder / "queries.npz")
 
 
 def offsets() -> Iterator[tuple[float, float]]:
@@ -166,24 +180,3 @@ def drive_along(
     world, junctions = path
     route = Route(junctions, 1.1 if session == 0 else 0.3, length_m=PATH_M)
     return simulate_session(world, session, route, lidar, seed, conditions=now)
-
-
-def main() -> None:
-    parsed = parser(__doc__)
-    parsed.add_argument("out", type=Path)
-    parsed.add_argument("protocols", nargs="+", help="accumulated, sparse, single, town, park")
-    parsed.add_argument("--data", type=Path, help="folder of KITTI 00, for the first three")
-    parsed.add_argument("--every", type=int, default=1, help="keep every N-th real query")
-    parsed.add_argument("--step", type=int, default=8, help="simulated scans between queries")
-    options = parsed.parse_args()
-    for protocol in options.protocols:
-        if protocol in WORLD_M:
-            simulated(options.out, protocol, options.step)
-        elif options.data is None:
-            parsed.error(f"{protocol} needs --data")
-        else:
-            kitti(options.data, options.out, protocol, options.every)
-
-
-if __name__ == "__main__":
-    main()

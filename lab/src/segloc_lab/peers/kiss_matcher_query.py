@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from segloc import geometry
 
-from ..report import parser
-from .exchange import Answers, Clouds, run
-from .scan_context import Places, Query, ScanContexts, near, sideways
+from ..script import parser
+from .exchange import Clouds, run, settings_of
+from .scan_context import Places, Query, ScanContexts, near, resume, sideways
 
 RADIUS_M = 60.0
 
@@ -45,12 +45,19 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by the number of inliers alone."""
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
+    given = folder, queries, settings_of(options)
+    verified, alone = resume(*given, "kiss_matcher"), resume(*given, "kiss_matcher-inliers")
+    todo = alone.pending(options.every)
+    if not todo:
+        return
     contexts, places = ScanContexts(views, options.radius), Places(views)
+    clouds = sum(near(views[i], RADIUS_M).nbytes for i in range(len(views)))
+    alone.map_bytes = np.array(contexts.nbytes + clouds)
+    verified.map_bytes = np.array(contexts.nbytes + clouds + places.nbytes)
     # All clouds are level, which its quatro solver makes use of.
     settings = kiss_matcher.KISSMatcherConfig(options.voxel, use_quatro=True)
     matcher = kiss_matcher.KISSMatcher(settings)
-    verified, alone = Answers(len(queries)), Answers(len(queries))
-    for q in range(0, len(queries), options.every):
+    for q in todo:
         with verified.timed(q), alone.timed(q):
             candidates = contexts.candidates(queries[q], sideways(options.shifts), options.top)
         for candidate in candidates:
@@ -69,10 +76,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
                 for (T, _), candidate in zip(poses, candidates, strict=True)
             ]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-        moved = "-shifted" if len(options.shifts) > 1 else ""
-        system = f"kiss_matcher{moved}-{options.views}"
-        verified.save(folder, f"{system}-top{options.top}")
-        alone.save(folder, f"{system}-inliers")
+        verified.save(folder, "kiss_matcher", q)
+        alone.save(folder, "kiss_matcher-inliers", q)
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..evaluation.scenario import MAX_GAP_M
 from ..kitti00 import keyframes, poses_of
-from ..report import parser
+from ..script import parser
 
 
 class Recorded(KissSLAM):  # type: ignore[misc]

@@ -16,8 +16,8 @@ from map_closures.config import MapClosuresConfig
 from map_closures.map_closures import MapClosures
 from numpy.typing import NDArray
 
-from ..report import parser
-from .exchange import Answers, Clouds, run
+from ..script import parser
+from .exchange import Answers, Clouds, run, settings_of
 
 RADIUS_M = 50.0
 
@@ -31,11 +31,15 @@ def near(points: NDArray[np.float32]) -> NDArray[np.float64]:
 def answer(folder: Path, options: argparse.Namespace) -> None:
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
+    system = "map_closures"
+    answers = Answers.resume(folder, system, queries, settings_of(options))
+    todo = answers.pending(options.every)
+    if not todo:
+        return
     closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
     for i in range(len(views)):
         closures.get_best_closure(i, near(views[i]))
-    answers = Answers(len(queries))
-    for q in range(0, len(queries), options.every):
+    for q in todo:
         cloud = near(queries[q])
         with answers.timed(q):
             found = closures.get_top_k_closures(len(views) + q, cloud, options.top)
@@ -47,7 +51,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             # The pose takes points of the view to the query.
             T = views.poses[best.source_id] @ np.linalg.inv(np.asarray(best.pose))
             answers.give(q, T, float(best.number_of_inliers))
-        answers.save(folder, f"map_closures-{options.views}")
+        answers.save(folder, system, q)
 
 
 def main() -> None:

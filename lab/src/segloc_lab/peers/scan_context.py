@@ -24,8 +24,8 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 from segloc.system import kernels
 
-from ..report import parser
-from .exchange import Answers, Clouds, run
+from ..script import parser
+from .exchange import Answers, Clouds, run, settings_of
 
 RADIUS_M = 50.0
 """How far from the sensor clouds are compared."""
@@ -69,6 +69,7 @@ class Places:
         self._plan = cKDTree(cloud[:, :2])
         self._at = views.poses[:, :2, 3] - self.origin[:2]
         self._targets: dict[int, Any] = {}
+        self.nbytes = cloud.nbytes
 
     def target(self, view: int) -> Any:
         """The cloud to align with, with its normals and its search tree."""
@@ -153,6 +154,8 @@ class ScanContexts:
         self._filled = _filled(self._columns)
         turns = np.arange(SECTORS)
         self._turned = (turns[None, :] + turns[:, None]) % SECTORS
+        self.nbytes = 4 * self._columns.size
+        """Size of the contexts in float32."""
 
     def describe(self, points: NDArray[np.float32]) -> Floats:
         return scan_context(points, ground_below(points), self.radius_m)
@@ -194,15 +197,24 @@ def sideways(offsets_m: list[float]) -> Floats:
     return np.array([(0.0, offset, 0.0) for offset in offsets_m])
 
 
+def resume(folder: Path, queries: Clouds, settings: str, system: str) -> Answers:
+    """Return the kept answers of a system that is not trained."""
+    return Answers.resume(folder, system, queries, settings)
+
+
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
     views = Clouds.load(folder / f"views-{options.views}.npz")
     queries = Clouds.load(folder / "queries.npz")
+    given = folder, queries, settings_of(options)
+    verified, alone = resume(*given, "scan_context"), resume(*given, "scan_context-alone")
+    todo = alone.pending(options.every)
+    if not todo:
+        return
     contexts, places = ScanContexts(views, options.radius), Places(views)
-    verified, alone = Answers(len(queries)), Answers(len(queries))
-    moved = "-shifted" if len(options.shifts) > 1 else ""
-    system = f"scan_context{moved}-{options.views}"
-    for q in range(0, len(queries), options.every):
+    alone.map_bytes = np.array(contexts.nbytes)
+    verified.map_bytes = np.array(contexts.nbytes + places.nbytes)
+    for q in todo:
         with verified.timed(q), alone.timed(q):
             shifts = sideways(options.shifts)
             candidates = contexts.candidates(queries[q], shifts, options.top)
@@ -213,8 +225,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-        verified.save(folder, f"{system}-top{options.top}")
-        alone.save(folder, f"{system}-alone")
+        verified.save(folder, "scan_context", q)
+        alone.save(folder, "scan_context-alone", q)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""segloc on the clouds that the other systems get, with its own verdict.
+"""segloc on the clouds that the other systems get, with its own decision.
 
     python -m segloc_lab.peers.segloc_query OUT/single
 
@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -25,8 +26,13 @@ from segloc.frontend import Accumulator, Segmenter
 from segloc.map import View, add_view, empty_map
 from segloc.types import LocalCloud, Scan
 
-from ..report import parser
-from .exchange import Answers, Clouds, run
+from ..evaluation.comparison import shared_config
+from ..report import code
+from ..script import parser
+from .exchange import Answers, Clouds, run, settings_of
+
+TRAINED = "simulated worlds"
+"""Descriptors and posterior alike; no real recording."""
 
 
 def local_cloud(clouds: Clouds, i: int, config: Config) -> LocalCloud:
@@ -47,23 +53,44 @@ def site_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
     return prior_map
 
 
+def size_of(prior_map: SegmentMap) -> int:
+    """Return the bytes of a map's file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "map.segmap"
+        prior_map.save(path)
+        return path.stat().st_size
+
+
 def answer(folder: Path, options: argparse.Namespace) -> None:
-    config = Config.preset(options.method).model_copy(update={"threads": 1})
-    localizer = Localizer(site_of(folder, options.views, config), config)
+    config = shared_config(options.method, 1, options.segments_alone)
     queries = Clouds.load(folder / "queries.npz")
-    answers = Answers(len(queries), verdict=True)
-    for q in range(0, len(queries), options.every):
+    system = f"segloc-{options.method}{'-alone' if options.segments_alone else ''}"
+    settings = settings_of(options) + code()
+    answers = Answers.resume(folder, system, queries, settings, decides=True, trained=TRAINED)
+    todo = answers.pending(options.every)
+    if not todo:
+        return
+    prior_map = site_of(folder, options.views, config)
+    answers.map_bytes = np.array(size_of(prior_map))
+    localizer = Localizer(prior_map, config)
+    for q in todo:
         with answers.timed(q):
             result = localizer.localize(local_cloud(queries, q, config))
-        if result.T_map_sensor is not None:
+        if result.localized:
             answers.give(q, result.T_map_sensor, result.confidence)
-        answers.save(folder, f"segloc-{options.method}")
+            answers.accepted[q] = True
+        else:
+            answers.reasons[q] = str(result.reason)
+            if result.places:
+                answers.give(q, result.places[0].T_map_sensor, result.confidence)
+        answers.save(folder, system, q)
 
 
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--views", nargs="+", default=["long", "short"])
     options.add_argument("--method", default="profile")
+    options.add_argument("--segments-alone", action="store_true", help="propose by segments alone")
     run(options, answer)
 
 

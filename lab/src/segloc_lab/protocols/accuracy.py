@@ -20,7 +20,7 @@ import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors, query_clouds
-from segloc.types import Float64, LocalCloud, Pose
+from segloc.types import Float32, Float64, Pose
 
 from ..kitti00 import PROTOCOLS, query_set
 from ..report import Table, publish, reporting
@@ -35,20 +35,24 @@ Row = tuple[str | int, ...]
 
 
 class Reference:
-    """Find the pose in a map of clouds with poses known to about a metre."""
+    """Find the pose in a map of clouds with poses known to about a metre.
 
-    def __init__(self, prior_map: SegmentMap) -> None:
-        self._cloud, self._origin = np.asarray(prior_map.cloud, dtype=np.float64), prior_map.origin
+    Parameters
+    ----------
+    cloud : (N, 3) float
+        Of the map, relative to ``origin``, (3,).
+    """
 
-    def pose(self, cloud: LocalCloud, truth: Pose) -> Pose | None:
-        """Return T_map_sensor; None if two starts disagree."""
-        T = truth @ geometry.inverse(cloud.T_local_sensor)
-        T = geometry.rigid(T[:3, :3], T[:3, 3] - self._origin)
+    def __init__(self, cloud: Float32 | Float64, origin: Float64) -> None:
+        self._cloud, self._origin = np.asarray(cloud, dtype=np.float64), origin
+
+    def pose(self, points: Float32, T_map_points: Pose) -> Pose | None:
+        """Align points; return T_map_points, or None if two starts disagree."""
+        T = geometry.rigid(T_map_points[:3, :3], T_map_points[:3, 3] - self._origin)
         near = np.hypot(*(self._cloud[:, :2] - T[:2, 3]).T) < RADIUS_M + 10
         target, tree = small_gicp.preprocess_points(self._cloud[near], VOXEL_M)
-        points = cloud.points.astype(np.float64)
         inside = np.hypot(*points[:, :2].T) < RADIUS_M
-        source, _ = small_gicp.preprocess_points(points[inside], VOXEL_M)
+        source, _ = small_gicp.preprocess_points(points[inside].astype(np.float64), VOXEL_M)
         ends = []
         for aside in (0.0, 0.3):
             start = T @ geometry.yaw_transform(0.0, (aside, aside, 0.0))
@@ -63,15 +67,16 @@ class Reference:
         if apart > AGREE_M or moved > FARTHEST_M:
             return None
         end = geometry.orthonormal(ends[0])
-        return geometry.rigid(end[:3, :3], end[:3, 3] + self._origin) @ cloud.T_local_sensor
+        return geometry.rigid(end[:3, :3], end[:3, 3] + self._origin)
 
 
 def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[Float64, int, int]:
     """Return errors [m, deg] of localized queries (N, 2), dropped references, not localized."""
-    reference, found, out, lost = Reference(localizer.prior_map), [], 0, 0
+    prior_map, found, out, lost = localizer.prior_map, [], 0, 0
+    reference = Reference(prior_map.cloud, prior_map.origin)
     queries = query_set(data, protocol, step)
     assert queries.truths is not None
-    path = localizer.prior_map.trajectory
+    path = prior_map.trajectory
     inside = distances_to_path(queries.truths, path) <= COVERAGE_RADIUS_M
     clouds = query_clouds(queries.recording, queries.positions[inside], localizer.config)
     for (cloud, _), truth in zip(clouds, queries.truths[inside], strict=True):
@@ -79,10 +84,11 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
         if answer.T_map_sensor is None:
             lost += 1
             continue
-        expected = reference.pose(cloud, truth)
-        if expected is None:
+        T_map_local = reference.pose(cloud.points, truth @ geometry.inverse(cloud.T_local_sensor))
+        if T_map_local is None:
             out += 1
             continue
+        expected = T_map_local @ cloud.T_local_sensor
         found.append(np.concatenate(pose_errors(answer.T_map_sensor[None], expected[None])))
     return np.array(found).reshape(-1, 2), out, lost
 

@@ -24,7 +24,7 @@ from segloc.system.stage_times import StageTimes
 from segloc.tiles import TiledMap
 
 from ..city import opened, queries
-from ..report import parser
+from ..script import parser
 from ..stages import held_mb, highest_mb, processor_clock
 
 WIDE = "ten times as wide"

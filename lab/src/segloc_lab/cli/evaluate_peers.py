@@ -1,0 +1,82 @@
+"""``segloc evaluate peers``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from segloc.cli.console import say
+from segloc.errors import DatasetError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to the command line."""
+    app.command("peers")(peers)
+
+
+def peers(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of sets and answers.")],
+    data: Annotated[
+        Path | None, typer.Option(metavar="KITTI00", help="KITTI 00: keyframes, scans, poses.")
+    ] = None,
+    sets: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Only these sets: accumulated, sparse, single (of KITTI 00), town, park.",
+            show_default="all; without --data the last two",
+        ),
+    ] = None,
+    peers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Only these systems: segloc, segments (segloc by segments alone), a descriptor, "
+            "scan-context, branch-and-bound, kiss-matcher, open3d, map-closures.",
+            show_default="all, with dsm and esm",
+        ),
+    ] = None,
+    every: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Every COUNT-th query of each set.")
+    ] = 1,
+    python: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PYTHON",
+            help="Interpreter of a system with an environment of its own; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
+    ] = None,
+) -> None:
+    """Compare segloc with other systems on the same clouds, one thread each.
+
+    Sets and answers are stored in DIR; an interrupted run resumes. Systems that are not installed
+    are named in the table.
+    """
+    from segloc.cli.results import check_folder
+
+    from ..peers.study import DEFAULT, PEERS, SETS, SIMULATED, Job, checked, interpreters
+    from ..report import publish, require_new
+    from .evaluate import chosen
+
+    require_new(report)
+    check_folder(out)
+    if data is not None and not (data / "keyframes").is_dir():
+        raise DatasetError(f"{data / 'keyframes'}: no such folder; --data needs keyframes")
+    names = chosen(sets, "--sets") or (SIMULATED if data is None else SETS)
+    systems = chosen(peers, "--peers") or DEFAULT
+    job = Job(
+        out,
+        data,
+        checked(names, SETS, "--sets"),
+        checked(systems, tuple(PEERS), "--peers"),
+        every,
+        interpreters(python or ()),
+        say,
+    )
+    publish(report, "Other systems on the same clouds", *job.run())
