@@ -23,7 +23,7 @@ from .build import View, add_view, empty_map, tilt_text
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
 from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
-from .viewpoints import SPACING_M, Ground, Occluders, Sight, Uncovered, tops
+from .viewpoints import AROUND_M, SPACING_M, Ground, Occluders, Sight, Uncovered, tops
 from .voxel_cloud import thin
 
 SENSOR_HEIGHT_M = 1.0
@@ -129,8 +129,9 @@ class ThinCloud:
         """The points within a horizontal distance."""
         parts = [self._columns[key][0] for key in self._keys(at, radius)]
         points = np.concatenate(parts) if parts else np.empty((0, 3), np.float32)
-        x, y = (points[:, :2] - at[:2].astype(np.float32)).T
-        return np.asarray(points[x * x + y * y < radius * radius])
+        offsets = points[:, :2] - at[:2].astype(np.float32)
+        near = np.einsum("ij,ij->i", offsets, offsets) < radius * radius
+        return points.take(np.flatnonzero(near), axis=0)
 
     def seen_from(self, eye: Float64, radius: float) -> Seen:
         """A viewpoint, with what is visible from there."""
@@ -301,9 +302,10 @@ def _from_ground(
     total = uncovered.left
     while (place := uncovered.next()) is not None:
         eye = uncovered.eye(place)
-        sight, points = cloud.sight(eye, radius), cloud.near(eye, radius)
+        sight = cloud.sight(eye, radius)
         uncovered.cover(place, sight)
-        if uncovered.is_floor(place, points):
+        if uncovered.is_floor(place, cloud.near(eye, AROUND_M)):
+            points = cloud.near(eye, radius)
             yield eye, points[sight.sees(points)]
         if progress:
             progress(total - uncovered.left, total)

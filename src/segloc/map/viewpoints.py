@@ -30,7 +30,9 @@ _MAX_CLEARANCE_M = 8.0
 _MIN_NEIGHBOURS = 7  # of 8, around a cell of ground that has room
 _SAME_M = 2.0  # ground nearer than this needs no viewpoint of its own, even if it is out of sight
 _STOREY_M = 1.5
-_AROUND_M, _BAND_M, _SPARE_CELLS = 8.0, (1.0, 2.0), 8
+AROUND_M = 8.0
+"""Horizontal distance within which walls about a place are counted [m]."""
+_BAND_M, _SPARE_CELLS = (1.0, 2.0), 8
 _BIN_RAD = np.radians(1.0)
 _LEVELS = 5  # of direction bins, each twice as wide
 _BEHIND_M, _OFF_PLANE_M = 0.5, 0.3
@@ -110,6 +112,7 @@ class Sight:
         self._rays = (occluders.points - eye).astype(np.float32)
         self._ranges = _lengths(self._rays)
         self._normals = occluders.normals
+        self._has_plane = occluders.normals.any(axis=1)
         nearest_last = np.argsort(-self._ranges, kind="stable")
         with np.errstate(divide="ignore"):
             widths = occluders.spacing_m / self._ranges[nearest_last] / _BIN_RAD
@@ -132,10 +135,9 @@ class Sight:
             by = image[_bins(azimuth[left], elevation[left], width)]
             before = np.flatnonzero((by >= 0) & (ranges[left] > self._ranges[by] + _BEHIND_M))
             by, rows = by[before], left[before]
-            normals = self._normals[by]
-            off = np.abs(np.einsum("ij,ij->i", rays[rows] - self._rays[by], normals))
-            no_plane = ~normals.any(axis=1)
-            left = np.delete(left, before[(off > _OFF_PLANE_M) | no_plane])
+            beyond = rays.take(rows, axis=0) - self._rays.take(by, axis=0)
+            off = np.abs(np.einsum("ij,ij->i", beyond, self._normals.take(by, axis=0)))
+            left = np.delete(left, before[(off > _OFF_PLANE_M) | ~self._has_plane[by]])
         seen = np.zeros(len(points), bool)
         seen[left] = True
         return seen
@@ -190,13 +192,12 @@ class Uncovered:
         return eye
 
     def is_floor(self, place: int, points: Float32) -> bool:
-        """Whether (N, 3) points about a place stand on its ground, rather than carry it.
+        """Whether a place is a floor, by the (N, 3) points within AROUND_M of it.
 
         Walls rise from floors, and end at ceilings.
         """
         at, (low, high) = self._ground.places[place], _BAND_M
         offsets = points - at.astype(np.float32)
-        offsets = offsets[(offsets[:, :2] ** 2).sum(axis=1) < _AROUND_M**2]
         heights = offsets[:, 2] - offsets[:, :2] @ self._slope(place)
         cells = np.floor(offsets[:, :2] / CELL_M)
 
@@ -214,7 +215,7 @@ class Uncovered:
 
     def _slope(self, place: int) -> Float64:
         """How the ground about a place rises along x and y."""
-        offsets = self._eyes[self._around(place, _AROUND_M)] - self._eyes[place]
+        offsets = self._eyes[self._around(place, AROUND_M)] - self._eyes[place]
         # a ridge keeps the slope of few cells, or across a narrow strip, near zero
         xy, z = offsets[:, :2], offsets[:, 2]
         slope: Float64 = np.linalg.solve(xy.T @ xy + len(xy) * np.eye(2), xy.T @ z)
