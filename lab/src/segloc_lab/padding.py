@@ -24,6 +24,22 @@ def mirrored(prior_map: SegmentMap) -> SegmentMap:
     return _remade(prior_map, prior_map.centroids * flip, prior_map.vectors, cloud, path)
 
 
+def beside_its_mirror(prior_map: SegmentMap) -> SegmentMap:
+    """The map with its mirror image ``APART_M`` away: only what tells them apart is found here."""
+    both, mirror = prior_map.crop((0.0, 0.0), math.inf), mirrored(prior_map)  # a copy
+    T = geometry.yaw_transform(0.0, (APART_M, 0.0, 0.0))
+    both.add(
+        Descriptors(mirror.vectors, mirror.quality),
+        geometry.transform(T, mirror.centroids),
+        mirror.sizes,
+        session=0,
+        stamp=0.0,
+        cloud=geometry.transform(T, mirror.cloud + mirror.origin),
+    )
+    both.add_trajectory(T @ mirror.trajectory)
+    return both
+
+
 def shuffled(prior_map: SegmentMap, seed: int = 0) -> SegmentMap:
     """The map with every descriptor at another segment.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,7 @@ from .contents import MAX_VOXELS, relative_fault
 
 _BITS = MAX_VOXELS.bit_length() - 1
 _MIN_PENDING = 1 << 18
+_AT_ONCE = 2_000_000  # points, of which each takes about 150 bytes to thin
 
 
 class VoxelCloud:
@@ -102,6 +105,25 @@ def thin(points: Float32, origin: Float64, voxel: float) -> Float32:
     """
     if not len(points):
         return points
+    ends = np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float64)
+    if np.diff(np.floor((ends + origin) / voxel), axis=0).max() >= 1 << _BITS:
+        raise SeglocError(f"the cloud spans more than {1 << _BITS} voxels along an axis")
+    columns = np.floor((points[:, 0].astype(np.float64) + origin[0]) / voxel)
+    return np.concatenate([_thin(part, origin, voxel) for part in _slabs(points, columns)])
+
+
+def _slabs(points: Float32, columns: Float64) -> Iterator[Float32]:
+    """Part points by rising column, so that each part is small enough for the memory."""
+    middle = np.median(columns) if len(points) > _AT_ONCE else -np.inf
+    low = columns < middle
+    if not low.any():
+        yield points
+        return
+    yield from _slabs(points[low], columns[low])
+    yield from _slabs(points[~low], columns[~low])
+
+
+def _thin(points: Float32, origin: Float64, voxel: float) -> Float32:
     scaled = (points.astype(np.float64) + origin) / voxel
     cells = np.floor(scaled)
     distances = np.square(scaled - cells - 0.5).sum(axis=1)
@@ -121,9 +143,6 @@ def thin(points: Float32, origin: Float64, voxel: float) -> Float32:
 
 
 def _packed(cells: Float64) -> Int64:
-    low = cells.min(axis=0)
-    if (cells.max(axis=0) - low).max() >= 1 << _BITS:
-        raise SeglocError(f"the cloud spans more than {1 << _BITS} voxels along an axis")
-    x, y, z = (cells - low).astype(np.int64).T
+    x, y, z = (cells - cells.min(axis=0)).astype(np.int64).T
     packed: Int64 = (x << 2 * _BITS) | (y << _BITS) | z
     return packed
