@@ -7,6 +7,7 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap
+from segloc.map import voxel_cloud
 from segloc.map.from_cloud import ThinCloud
 from segloc.map.viewpoints import Occluders, Sight
 from segloc.types import Float64
@@ -116,3 +117,13 @@ def test_a_thin_cloud_holds_a_point_a_voxel() -> None:
     cloud.thin()
     assert len(cloud) <= 21**3
     assert np.abs(cloud.near(np.zeros(3), 10.0)).max() < 2.5
+
+
+def test_large_clouds_are_thinned_in_slabs_to_the_same_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    points = np.random.default_rng(3).normal(0, 5, (20_000, 3)).astype(np.float32)
+    points[:5_000, 0] = 0.25  # a wall, of which all points lie in one column of voxels
+    whole = voxel_cloud.thin(points, UTM, 0.3)
+    monkeypatch.setattr(voxel_cloud, "_AT_ONCE", 1_000)
+    np.testing.assert_array_equal(voxel_cloud.thin(points, UTM, 0.3), whole)

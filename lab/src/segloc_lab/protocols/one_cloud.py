@@ -104,7 +104,7 @@ def real_places(data: Path, work: Path) -> Iterator[Place]:
     for name, source in real.sources(data).items():
         if name.startswith("kitti") and name != KITTI:
             continue
-        poses, cloud = kitti00.poses_of(source), partial(real.posed_clouds, source)
+        poses, cloud = kitti00.poses_of(source), partial(_posed, source)
         scans = partial(build_map, source)
         group = name.split(",")[0]
         yield Place(name, group, poses, scans, cloud)
@@ -117,6 +117,12 @@ def real_places(data: Path, work: Path) -> Iterator[Place]:
             source = MemoryRecording([source.scan(i) for i in range(len(source))], moved)
             laz = partial(_as_laz, cloud, work / "utm")
             yield Place(f"{name}, LAZ in {UTM_TEXT}", group, moved, partial(build_map, source), laz)
+
+
+def _posed(recording: Recording) -> Iterator[Float64]:
+    """The points of each scan, (N, 3), in the frame of the recording's poses."""
+    for i, T in enumerate(kitti00.poses_of(recording)):
+        yield geometry.transform(T, recording.scan(i).points)
 
 
 def _thinned(cloud: Callable[[], Iterable[Float64]], spacing_m: float) -> list[Float64]:

@@ -3,7 +3,6 @@ r"""All real recordings at once: level and turned, in their own maps and in fore
 The corridor of a VLP-16 driven back the other way, a lab seen by a MID-360 on other days, and
 KITTI odometry 00 and ten other drives of it. Each query is localized in the map of its place, in
 the mirror image of that map, and in the maps of all other places. What it answers there is false.
-With ``--clouds`` maps are built from one cloud each, without scans and poses.
 
     python -m segloc_lab.protocols.real DATA --out real.json
 """
@@ -78,21 +77,9 @@ def sources(data: Path) -> dict[str, Recording]:
     return found | {f"lab, {s}": _lab(data, s) for s in LAB}
 
 
-def maps(
-    mapped: dict[str, Recording], config: Config, clouds: bool = False
-) -> dict[str, SegmentMap]:
-    """A map of each recording, of its scans or of all of them as one cloud."""
-    if not clouds:
-        return {name: build_map(source, config) for name, source in mapped.items()}
-    return {
-        name: SegmentMap.from_cloud(posed_clouds(source), config) for name, source in mapped.items()
-    }
-
-
-def posed_clouds(recording: Recording) -> Iterator[Float64]:
-    """The points of each scan, (N, 3), in the frame of the recording's poses."""
-    for i, T in enumerate(kitti00.poses_of(recording)):
-        yield geometry.transform(T, recording.scan(i).points)
+def maps(mapped: dict[str, Recording], config: Config) -> dict[str, SegmentMap]:
+    """A map of each recording."""
+    return {name: build_map(source, config) for name, source in mapped.items()}
 
 
 def _corridor(data: Path, select: str, posed: bool = True) -> Recording:
@@ -293,14 +280,13 @@ def main() -> None:
     options.add_argument("--only", default="", help="queries whose name starts so")
     options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--own", action="store_true", help="leave out the maps of other places")
-    options.add_argument("--clouds", action="store_true", help="maps from clouds without poses")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
     options.add_argument("--out", type=Path)
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     mapped = sources(args.data)
     paths = {name: kitti00.poses_of(source) for name, source in mapped.items()}
-    build = partial(maps, mapped, config, args.clouds)
+    build = partial(maps, mapped, config)
     judge = Judge(_kept(build, args.maps), paths, config, not args.own)
     for chosen in queries(args.data, args.step):
         if chosen.name.startswith(args.only):
@@ -311,8 +297,7 @@ def main() -> None:
     table = Table(
         COLUMNS, rows(judge.records), note(judge.records, args.method, args.step, not args.own)
     )
-    made = "maps from clouds" if args.clouds else "maps"
-    publish(args.report, f"Real recordings in their own and in foreign {made}", table)
+    publish(args.report, "Real recordings in their own and in foreign maps", table)
 
 
 def _kept(build: Callable[[], dict[str, SegmentMap]], folder: Path | None) -> dict[str, SegmentMap]:
