@@ -112,7 +112,7 @@ class Sight:
         self._rays = (occluders.points - eye).astype(np.float32)
         self._ranges = _lengths(self._rays)
         self._normals = occluders.normals
-        self._has_plane = occluders.normals.any(axis=1)
+        self._has_plane: Bools = np.asarray(occluders.normals.any(axis=1))
         nearest_last = np.argsort(-self._ranges, kind="stable")
         with np.errstate(divide="ignore"):
             widths = occluders.spacing_m / self._ranges[nearest_last] / _BIN_RAD
