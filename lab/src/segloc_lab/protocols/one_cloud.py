@@ -51,8 +51,8 @@ CELL_M = 1.0
 """Cell size of the area that a map covers, seen from above [m]."""
 STEP = 2
 """Every STEP-th query of KITTI is localized."""
-MAX_FOREIGN = 50
-"""Queries of one set in each map of another place."""
+MAX_FOREIGN, MAX_MIRRORED = 16, 50
+"""Most queries of one set in each map of another place, and in each mirror image of their own."""
 
 
 @dataclass(frozen=True)
@@ -256,8 +256,9 @@ class Study:
         found: dict[str, Any] = {"place": place.name, "made": made, "queries": asked.name}
         rows: dict[str, list[Any]] = {"outcome": [], "covered": [], "ms": [], "fit": []}
         described = self._descriptions(asked, localizer)
-        if not own and place.group != asked.group:
-            described = described[:: -(-len(described) // MAX_FOREIGN)]
+        if not own:
+            most = MAX_MIRRORED if place.group == asked.group else MAX_FOREIGN
+            described = described[:: -(-len(described) // most)]
         for k, (query, spent) in enumerate(described):
             truth = asked.truths[k] if own and asked.truths is not None else None
             start = time.process_time()
