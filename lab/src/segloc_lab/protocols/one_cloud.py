@@ -381,8 +381,9 @@ def mirrors_table(study: Study) -> Table:
         rows.append((name, *counts, len(at), *cells))
     note = (
         "Of the queries of each world, in the map of its cloud, in this map beside its own mirror "
-        "image, and in the mirror image alone; median overlap. Answers in the mirror image of a "
-        "world that is alike are not counted as false above: beside each other, neither is found."
+        "image, and in the mirror image alone; median overlap. Answers in mirror images of worlds "
+        "of a kind that is alike are counted here and not above: where fewer are found beside the "
+        "mirror image, it is the same place for the sensor."
     )
     return Table(columns, rows, note, "Mirror images of simulated worlds")
 
