@@ -26,7 +26,8 @@ from segloc.io import write_scan
 from segloc.types import Float64, Pose
 
 from ..calibration.worlds import LENGTH_M, simulated
-from ..report import Table, parser, publish
+from ..report import Table, publish
+from ..script import parser
 from ..simulation import SimulatedSequence
 from .real import outcome
 
