@@ -26,7 +26,7 @@ import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
-from segloc.io.clouds import read_cloud
+from segloc.io import clouds
 from segloc.pipeline import answer
 from segloc.proposals import Query
 from segloc.types import Float64, MemoryRecording, Recording
@@ -143,7 +143,7 @@ def _as_laz(cloud: Callable[[], Iterable[Float64]], folder: Path) -> Iterable[Fl
         tile = laspy.LasData(header)
         tile.xyz = part + UTM
         tile.write(folder / f"{k}.laz")
-    return read_cloud(folder)
+    return clouds.read_cloud(folder)
 
 
 def real_queries(data: Path) -> Iterator[Asked]:
