@@ -1,6 +1,6 @@
 """A query and its front half, gravity to description, against another installed version in turns.
 
-    python -m segloc_lab.bench.versions [--data FOLDER] [--against PYTHON] [--repeats 20]
+    python -m segloc_lab.bench.versions [--data FOLDER] [--against PYTHON] [--report FOLDER]
 
 Both versions run in processes of their own, one scan after the other in turns, on one thread, and
 report the processor time of each stage, and of whole queries that are found in a map or refused.
@@ -26,10 +26,11 @@ from segloc.map import DEFAULT_METHOD
 from segloc.types import Float32
 
 from ..padding import padded_with_copies
-from ..script import parser
+from ..report import Cell, Table, publish, reporting
 from .query import MAP_SEGMENTS, simulated_scene
 
-OURS = "this"
+OURS, OTHER = "this", "other"
+COLUMNS = ("of", "stage", "this", "95 %", "other", "95 %", "ratio", "of 95 %")
 _WORKER = Path(__file__).with_name("versions_worker.py")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BANDWIDTH_BYTES = 1 << 26
@@ -160,19 +161,19 @@ def scene_of(data: Path | None, segments: int) -> tuple[SegmentMap, list[Float32
     return padded_with_copies(scene.prior_map, segments), [query.points for query in queries]
 
 
-def show(found: dict[str, Times]) -> None:
-    """Print the median and the 95th percentile of each stage, and their ratios to the other's."""
+def rows_of(name: str, found: dict[str, Times]) -> Iterator[Sequence[Cell]]:
+    """Median and 95th percentile of each stage, and their ratios to the other version's."""
     for stage, ms in found[OURS].items():
         ours = np.percentile(ms, (50, 95))
-        line = f"  {stage:<24}{ours[0]:9.2f}{ours[1]:9.2f}"
-        if stage in found.get("other", {}):
-            other = np.percentile(found["other"][stage], (50, 95))
-            line += f"{other[0]:9.2f}{other[1]:9.2f}  ratio{ours[0] / other[0]:6.2f}"
-        print(line, flush=True)
+        cells = [f"{each:.2f}" for each in ours]
+        if stage in found.get(OTHER, {}):
+            other = np.percentile(found[OTHER][stage], (50, 95))
+            cells += [f"{each:.2f}" for each in (*other, *(ours / other))]
+        yield (name, stage, *cells, *[None] * (6 - len(cells)))
 
 
 def main() -> None:
-    parsed = parser(__doc__)
+    parsed = reporting(__doc__)
     parsed.add_argument("--segments", type=int, default=MAP_SEGMENTS, help="of the map")
     parsed.add_argument("--data", type=Path)
     parsed.add_argument("--against", metavar="PYTHON", help="interpreter of the other version")
@@ -180,17 +181,19 @@ def main() -> None:
     options = parsed.parse_args()
     pythons = {OURS: sys.executable}
     if options.against:
-        pythons["other"] = options.against
+        pythons[OTHER] = options.against
     rate = copy_gb_s()
-    print(f"copies {rate:.1f} GB/s")
+    rows: list[Sequence[Cell]] = []
     for name, scans in sensors(options.data).items():
         points = statistics.median(len(each) for each in scans)
         bound_ms = 12.0 * points / rate / 1e6
-        print(f"\n{name}: {points:.0f} points, one pass over them {bound_ms:.3f} ms")
-        show(in_turns(pythons, scans, options.repeats))
+        rows.append((name, f"one pass over {points:.0f} points", f"{bound_ms:.3f}", *[None] * 5))
+        rows.extend(rows_of(name, in_turns(pythons, scans, options.repeats)))
     prior_map, queries = scene_of(options.data, options.segments)
-    print(f"\nQueries in a map of {len(prior_map)} segments")
-    show(in_turns(pythons, queries, options.repeats, prior_map))
+    found = in_turns(pythons, queries, options.repeats, prior_map)
+    rows.extend(rows_of(f"query, {len(prior_map)} segments", found))
+    note = f"Milliseconds of processor time of one thread. Memory is copied at {rate:.1f} GB/s."
+    publish(options.report, "Two versions in turns", Table(COLUMNS, rows, note))
 
 
 if __name__ == "__main__":
