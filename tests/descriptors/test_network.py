@@ -211,7 +211,7 @@ def test_fc4_travels_with_the_weights_and_changes_no_descriptor(
     assert plain.fingerprint == results.fingerprint  # maps stay valid
     assert plain.pruner is None and results.pruner is not None
     assert not results.rates and results.encode(prepared(3)).quality is None
-    with pytest.raises(WeightsError, match="no FC4 in it, which fq needs"):
+    with pytest.raises(WeightsError, match="no FC4, which fq needs"):
         PointSetDescriptor("fq", without, judge="pair")
     a, b = np.random.default_rng(0).normal(size=(2, 30, 16)).astype(np.float32)
     index = np.arange(30)

@@ -64,10 +64,10 @@ def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
     demo.keep(out / "revisit", tmp_path)
     for name in demo.KEPT.values():
         with image.open(tmp_path / name) as drawn, image.open(IMAGES / name) as kept:
-            assert_nearly_same(drawn.info.get(demo.SAID, ""), kept.info.get(demo.SAID, ""))
+            assert_nearly_same(drawn.info.get(demo.KEY, ""), kept.info.get(demo.KEY, ""))
             alike(kept, drawn)
     with image.open(tmp_path / "demo.png") as drawn:
-        assert f"localized ({again['correct']})" in drawn.info[demo.SAID]
+        assert f"localized ({again['correct']})" in drawn.info[demo.KEY]
 
 
 def assert_nearly_same(output: str, kept: str) -> None:
