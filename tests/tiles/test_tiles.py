@@ -411,7 +411,7 @@ def test_a_localizer_in_tiles_is_one_like_others(
     a, b = localizer.localize(scan), again.localize(scan)
     assert a.localized and np.array_equal(a.T_map_sensor, b.T_map_sensor)
     assert len(localizer.tiles.recent) > 0
-    with pytest.raises(ConfigError, match="pass a .segmap file"):
+    with pytest.raises(ConfigError, match="not supported here"):
         localizer.search(localizer.describe(scan), thorough=True)
 
 
