@@ -155,8 +155,11 @@ class Peer(Node):
             for event in events:
                 if event.scan is None:
                     if odometry:
-                        self.send_odometry(event.stamp, event.T_odom_base @ lidar_base)
-                        self.spin(0.05)
+                        # Twice: the node takes odometry by best effort, and a cloud waits for it.
+                        for late_s in (0.0, 0.01):
+                            stamp = event.stamp + late_s
+                            self.send_odometry(stamp, event.T_odom_base @ lidar_base)
+                            self.spin(0.05)
                 else:
                     points = event.scan.points
                     if rear:
