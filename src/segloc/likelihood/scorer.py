@@ -154,14 +154,13 @@ class Scorer:
         decisive = not thorough and self.segments_decide(candidates)
         if decisive:
             best = min(ranked, key=by_segments)
-            fit = self._map.refined(best.T_map_local, self._query, roughly=False)
-            fit.inliers = inliers(fit.T_map_local)
+            fit = self._measure(best.T_map_local, inliers, roughly=False)
             place = self._at_least(fit, ranked)
             if place.log_ratio >= self._threshold:
                 self.fits = [fit]
                 return Posterior.of([place], self._model.lapse)
         for start, T in self._promising(ranked, thorough, decisive):
-            self._measure(T, inliers, start)
+            self._take(self._measure(T, inliers, start))
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
             self.fits[self.fits.index(fit_left)] = finished
@@ -206,10 +205,11 @@ class Scorer:
         matters = known - most < self._threshold + _SLACK and max(known, most) >= self._threshold
         return fit if matters or thorough else None
 
-    def _measure(self, T: Pose, inliers: Inliers, start: Pose | None = None) -> Observation:
-        fit = self._map.refined(T, self._query, start)
+    def _measure(
+        self, T: Pose, inliers: Inliers, start: Pose | None = None, *, roughly: bool = True
+    ) -> Observation:
+        fit = self._map.refined(T, self._query, start, roughly=roughly)
         fit.inliers = inliers(fit.T_map_local)
-        self._take(fit)
         return fit
 
     def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> ScoredPose:

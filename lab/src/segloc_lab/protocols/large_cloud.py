@@ -112,6 +112,11 @@ def localize(folder: Path, prior_map: SegmentMap, towns: int) -> dict[str, Any]:
     return counts | {"points": points, "ms": float(np.median(ms))}
 
 
+def area_m2(prior_map: SegmentMap) -> float:
+    """Area that a map covers, seen from above."""
+    return len(np.unique(np.floor(prior_map.cloud[:, :2] / CELL_M), axis=0)) * CELL_M**2
+
+
 def measure(folder: Path, towns: int, first_seed: int) -> dict[str, Any]:
     """Write the tiles, map them and localize scans in the map."""
     tiles = folder / "tiles"
@@ -121,8 +126,8 @@ def measure(folder: Path, towns: int, first_seed: int) -> dict[str, Any]:
     path = folder / f"{towns}-towns.segmap"
     found = build(tiles, path)
     prior_map = SegmentMap.load(path)
-    area = len(np.unique(np.floor(prior_map.cloud[:, :2] / CELL_M), axis=0)) * CELL_M**2
-    found |= {"towns": towns, "viewpoints": len(prior_map.trajectory), "area_m2": area}
+    found |= {"towns": towns, "viewpoints": len(prior_map.trajectory)}
+    found |= {"area_m2": area_m2(prior_map)}
     found |= {"map_bytes": path.stat().st_size}
     return found | localize(tiles, prior_map, towns)
 

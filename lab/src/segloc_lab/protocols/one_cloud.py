@@ -47,8 +47,6 @@ image side by side."""
 KITTI = "kitti, later passes"
 SPARSE_M = 0.3
 UTM_TEXT, UTM = "UTM", np.array([500_000.0, 5_400_000.0, 300.0])
-CELL_M = 1.0
-"""Cell size of the area that a map covers, seen from above [m]."""
 STEP = 2
 """Every STEP-th query of KITTI is localized."""
 MAX_FOREIGN, MAX_MIRRORED = 16, 50
@@ -230,7 +228,7 @@ class Study:
                 prior_map = SegmentMap.from_cloud(place.cloud(), self._config)
             spent = time.process_time() - start
             prior_map.save(path)
-            area = len(np.unique(np.floor(prior_map.cloud[:, :2] / CELL_M), axis=0)) * CELL_M**2
+            area = large_cloud.area_m2(prior_map)
             entry = {"place": place.name, "made": made, "area_m2": area, "seconds": spent}
             entry |= {"bytes": path.stat().st_size, "segments": len(prior_map)}
             entry["km"] = float(geometry.travelled(place.poses)[-1]) / 1e3
