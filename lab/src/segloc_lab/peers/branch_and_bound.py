@@ -256,7 +256,6 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("--views", default="scan", help="long, short or scan")
     options.add_argument("--cell", type=float, default=0.5, help="of the grid, metres")
     options.add_argument(
         "--slice", type=float, nargs=2, default=[-0.3, 1.0], help="about sensor height, metres"

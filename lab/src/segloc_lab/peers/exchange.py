@@ -192,10 +192,17 @@ def settings_of(options: argparse.Namespace) -> str:
 
 
 def run(
-    parser: argparse.ArgumentParser, answer: Callable[[Path, argparse.Namespace], None]
+    parser: argparse.ArgumentParser,
+    answer: Callable[[Path, argparse.Namespace], None],
+    views: str | None = "scan",
 ) -> None:
-    """Answer the protocols that the command line names, by options that all systems share."""
+    """Answer the protocols that the command line names, by options that all systems share.
+
+    ``views`` are those that a system takes by default; None if it has an option of its own.
+    """
     parser.add_argument("folders", nargs="+", type=Path)
+    if views is not None:
+        parser.add_argument("--views", default=views, help="long, short or scan")
     parser.add_argument("--every", type=int, default=1, help="answer every N-th query only")
     options = parser.parse_args()
     for folder in options.folders:

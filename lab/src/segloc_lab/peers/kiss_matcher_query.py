@@ -82,7 +82,6 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("--views", default="scan", help="long, short or scan")
     options.add_argument("--voxel", type=float, default=0.5, help="metres")
     options.add_argument("--radius", type=float, default=80.0, help="of a context, metres")
     options.add_argument("--top", type=int, default=3, help="places that are tried")

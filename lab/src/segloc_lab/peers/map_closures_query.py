@@ -56,10 +56,9 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("--views", default="long", help="long, short or scan")
     options.add_argument("--resolution", type=float, default=0.5, help="of the images, metres")
     options.add_argument("--top", type=int, default=20, help="closures looked at")
-    run(options, answer)
+    run(options, answer, "long")
 
 
 if __name__ == "__main__":

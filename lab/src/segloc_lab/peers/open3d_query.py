@@ -160,7 +160,6 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     options = parser(__doc__)
-    options.add_argument("--views", default="scan", help="long, short or scan")
     options.add_argument("--voxel", type=float, default=1.5, help="metres")
     options.add_argument("--whole", type=int, default=5_000, help="points of a small map")
     options.add_argument("--apart", type=float, default=20.0, help="places of a large map, metres")

@@ -91,7 +91,7 @@ def main() -> None:
     options.add_argument("--views", nargs="+", default=["long", "short"])
     options.add_argument("--method", default="profile")
     options.add_argument("--segments-alone", action="store_true", help="propose by segments alone")
-    run(options, answer)
+    run(options, answer, None)
 
 
 if __name__ == "__main__":
