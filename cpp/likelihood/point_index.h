@@ -89,8 +89,13 @@ class PointIndex {
         skip -= part.count;
         continue;
       }
+      if (part.is_whole()) {
+        for (; skip < part.count; skip += step) take(points_[part.block->begin + skip]);
+        skip -= part.count;
+        continue;
+      }
       for (std::size_t k = part.block->begin; k < part.block->end; ++k) {
-        if (!part.is_whole() && !column.holds(x_of_[k], y_of_[k], z_of_[k])) continue;
+        if (!column.holds(x_of_[k], y_of_[k], z_of_[k])) continue;
         if (skip > 0) {
           --skip;
           continue;

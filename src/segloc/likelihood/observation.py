@@ -360,9 +360,17 @@ class MapCloud:
         return Observation(self._absolute(T), overlap, seen, rmse, covariance, compared)
 
     def _visible(self, query: QueryCloud, T: Pose, radius: float, sample: int) -> Count:
+        """Count the map points in view that the query sees, and those compared.
+
+        In a map with several storeys, points of other storeys are excluded.
+        """
+        x, y, z = T[:3, 3].tolist()
+        low, high = -np.inf, np.inf
+        if self.storeyed:
+            low, high = (z + height for height in query.view.storey())
         range_m = self._config.visibility_range
-        index, storeyed = self._target.index, self.storeyed
-        return visible_counts(index, query.view, T, radius, range_m, sample, storeyed)
+        points = self._target.index.sample(x, y, range_m, sample, low, high)
+        return query.view.count(points, np.ascontiguousarray(geometry.inverse(T)), radius)
 
     def _best(
         self, T: Pose, start: Pose | None, query: QueryCloud, roughly: bool
@@ -464,73 +472,31 @@ class Compared:
 
 
 class QueryView:
-    """Range image of a sensor's view, around the local frame's origin.
-
-    Attributes
-    ----------
-    low, high : float
-        Heights that bound nearly all points [m].
-    """
+    """Range image of a sensor's view, around the local frame's origin."""
 
     def __init__(self, scene: Segmentation, config: VerificationConfig) -> None:
         radius = max(config.seen_radius, config.coarse_radius)
-        self._margin = config.visibility_margin
-        self.low, self.high = _heights(scene)
+        self._scene, self._margin = scene, config.visibility_margin
+        self._storey: tuple[float, float] | None = None
         self._image = _native.VisibilityCheck(
             scene.structure, scene.ground, config.visibility_range, config.visibility_bin, radius
         )
 
-    def count(self, points: Float32, T_local_map: Pose, radius: float) -> tuple[int, int]:
-        """Count the (N, 3) map points that are seen, and those that violate free space."""
+    def storey(self) -> tuple[float, float]:
+        """Return the lowest and the highest z of the query's storey [m]."""
+        if self._storey is None:
+            z = np.concatenate([self._scene.structure[:, 2], self._scene.ground[:, 2]])
+            if not len(z):
+                return -np.inf, np.inf
+            low, high = np.percentile(z[:: -(-len(z) // _MAX_HEIGHTS)], _HEIGHT_PERCENTILES)
+            self._storey = float(low) - _STOREY_MARGIN_M, float(high) + _STOREY_MARGIN_M
+        return self._storey
+
+    def count(self, points: Float32, T_local_map: Pose, radius: float) -> Count:
+        """Count the (N, 3) map points that are seen, and those that are seen or violate free
+        space."""
         seen, violations = self._image.count(points, T_local_map, radius, self._margin)
-        return seen, violations
-
-
-def visible_counts(
-    index: _native.PointIndex,
-    view: QueryView,
-    T: Pose,
-    radius: float,
-    range_m: float,
-    sample: int,
-    storeyed: bool,
-) -> Count:
-    """Count the map points that the query sees, and those compared.
-
-    Parameters
-    ----------
-    index : PointIndex
-        Index of the map's cloud.
-    view : QueryView
-    T : (4, 4) float64
-        Transform from the local frame to that of the cloud.
-    radius : float
-        A map point with a query point within this is seen [m].
-    range_m : float
-        Map points within this are compared [m].
-    sample : int
-        Most points compared.
-    storeyed : bool
-        True if the map has several storeys; points of other storeys are then excluded.
-    """
-    x, y = float(T[0, 3]), float(T[1, 3])
-    low, high = (
-        (view.low - _STOREY_MARGIN_M, view.high + _STOREY_MARGIN_M)
-        if storeyed
-        else (-np.inf, np.inf)
-    )
-    points = index.sample(x, y, range_m, sample, low + T[2, 3], high + T[2, 3])
-    T_local_map = np.ascontiguousarray(geometry.inverse(T))
-    seen, violations = view.count(points, T_local_map, radius)
-    return Count(seen, seen + violations)
-
-
-def _heights(scene: Segmentation) -> tuple[float, float]:
-    z = np.concatenate([scene.structure[:, 2], scene.ground[:, 2]])
-    if not len(z):
-        return -np.inf, np.inf
-    low, high = np.percentile(z[:: -(-len(z) // _MAX_HEIGHTS)], _HEIGHT_PERCENTILES)
-    return float(low), float(high)
+        return Count(seen, seen + violations)
 
 
 def viewpoints(path: Float64, at: Float64) -> Float64:

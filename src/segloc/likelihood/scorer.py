@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -14,6 +14,7 @@ from ..geometry import Separation
 from ..types import Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
 from .model import FREE, OBSTRUCTED, shipped_model
+from .nearby import Surroundings
 from .observation import DOUBTFUL, Count, MapCloud, Observation, QueryCloud, RankedCandidate
 from .posterior import Posterior, ScoredPose, log_odds
 
@@ -159,8 +160,16 @@ class Scorer:
             if place.log_ratio >= self._threshold:
                 self.fits = [fit]
                 return Posterior.of([place], self._model.lapse)
-        for start, T in self._promising(ranked, thorough, decisive):
-            self._take(self._measure(T, inliers, start))
+        chosen = self._promising(ranked, thorough)
+        around = None
+        if chosen and not decisive:
+            around = self._map.around(chosen[0].T_map_local, self._query)
+        for k, c in enumerate(chosen):
+            start = around.start if around and k == 0 else None
+            self._take(self._measure(c.T_map_local, inliers, start))
+        if around and (thorough or self._best_case() >= self._threshold - _SLACK):
+            for T in self._rivals(around, chosen[0]):
+                self._take(self._measure(T, inliers))
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
             self.fits[self.fits.index(fit_left)] = finished
@@ -216,34 +225,36 @@ class Scorer:
         """Score a pose against the best that another place can be by rough overlaps."""
         apart, T = self._apart, fit.T_map_local
         others = [c for c in ranked if apart(c.T_map_local, T)]
+        fit.flush, fit.ground  # noqa: B018  (measured on first use, and shared by the copy)
         rival = copy(fit)
         rival.overlap = max((c.overlap for c in others), default=fit.overlap)
         features = self._model.features(fit, [rival], self._most_elsewhere(self._candidates, T))
         return self._likelihood.scored(fit, features)
 
     def _promising(
-        self, ranked: Sequence[RankedCandidate], thorough: bool, decisive: bool
-    ) -> list[tuple[Pose | None, Pose]]:
-        """Return the poses to measure, each with a better start, if there is one."""
-        if not ranked:
-            return []
+        self, ranked: Sequence[RankedCandidate], thorough: bool
+    ) -> list[RankedCandidate]:
+        """Return the candidates to measure."""
         most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
-        enough = self._config.refined_from
-        least = enough * max(c.overlap for c in ranked)
+        least = self._config.refined_from * max((c.overlap for c in ranked), default=0.0)
         chosen: list[RankedCandidate] = []
         for key in (by_segments, by_clouds, by_overlap):
             best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
             apart = [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
             chosen += [c for k, c in enumerate(apart) if not k or thorough or c.overlap >= least]
-        found: list[tuple[Pose | None, Pose]] = [(None, c.T_map_local) for c in chosen]
-        if decisive:
-            return found
-        around = self._map.around(chosen[0].T_map_local, self._query)
-        found[0] = around.start, chosen[0].T_map_local
+        return chosen
+
+    def _rivals(self, around: Surroundings, candidate: RankedCandidate) -> Iterator[Pose]:
+        """Yield the poses around a candidate at which the clouds fit nearly as well."""
         near = [Candidate(T, 0) for T in around.rivals if self._allowed(T)]
-        rivals = self._map.ranked(near, self._query) if near else []
-        least = enough * chosen[0].overlap
-        return [*found, *((None, c.T_map_local) for c in rivals if c.overlap >= least)]
+        least = self._config.refined_from * candidate.overlap
+        for rival in self._map.ranked(near, self._query) if near else []:
+            if rival.overlap >= least:
+                yield rival.T_map_local
+
+    def _best_case(self) -> float:
+        """Return the largest log-ratio of a place if all its free space is unoccupied."""
+        return max((self._scored(fit, FREE).log_ratio for fit in self.fits), default=-math.inf)
 
     def _is_new(self, candidate: RankedCandidate, chosen: Sequence[RankedCandidate]) -> bool:
         T = candidate.T_map_local

@@ -69,14 +69,14 @@ class OccupancyConfig(Section):
     range_m: float = Field(40.0, ge=5, le=100, description="range of the query's cells")
     yaws: int = Field(120, ge=8, le=720, description="number of headings")
     columns: int = Field(400, ge=64, le=4096, description="most occupied cells of a query")
-    width: int = Field(4000, ge=16, le=10**6, description="windows divided at each level")
+    width: int = Field(1000, ge=16, le=10**6, description="windows divided at each level")
     work: int = Field(
         1_200_000,
         ge=1000,
         le=10**8,
         description="most query columns times widest windows; bounds the time",
     )
-    max_candidates: int = Field(48, ge=1, le=1000, description="candidates per storey")
+    max_candidates: int = Field(24, ge=1, le=1000, description="candidates per storey")
 
 
 class OccupancyProposer:

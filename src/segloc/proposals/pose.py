@@ -55,7 +55,7 @@ class PoseConfig(Section):
         1.0, ge=0, le=1000, description="radius within which segments count as one inlier, metres"
     )
     separation: Separation = Separation()
-    max_refined: int = Field(128, ge=1, le=100_000, description="candidates refined by consensus")
+    max_refined: int = Field(48, ge=1, le=100_000, description="candidates refined by consensus")
     max_draws: int = Field(
         2_000_000, ge=1, le=10**9, description="most samples of prosac and ransac"
     )
