@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from segloc_lab.calibration.posterior import FEATURES, KEPT, Decisions, Records, fit, records_of
 from segloc_lab.calibration.rows import Rows
-from segloc_lab.calibration.worlds import MAX_THINNED, QuerySet, load_queries, save_queries
+from segloc_lab.calibration.worlds import (
+    MAX_THINNED,
+    QuerySet,
+    generated,
+    load_queries,
+    save_queries,
+    simulated,
+    write_world,
+)
+from segloc_lab.protocols import wrong_maps
+from segloc_lab.protocols.wrong_maps import parts
+from segloc_lab.report import entries
 
+from segloc import Config
 from segloc.likelihood import shipped_model
 
 
@@ -54,3 +68,38 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
     sure = decisions.log_odds > np.log(9.0)
     assert 0.9 < decisions.right[sure].mean() < 1.0
     assert np.array_equal(decisions.right, ~decisions.false)
+
+
+@pytest.mark.slow
+def test_queries_are_counted_in_their_own_and_in_other_maps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = Config.preset("profile").model_copy(update={"threads": 1})
+    for name, seed in (("offices", 2), ("warehouse", 3)):
+        write_world(simulated(name, seed, 24.0), tmp_path / "worlds" / f"{name}-{seed}", config)
+    out = tmp_path / "kept.jsonl"
+    monkeypatch.setattr(sys, "argv", ["wrong_maps", str(tmp_path / "worlds"), "--out", str(out)])
+    wrong_maps.main()
+    records = entries(out)
+    assert len(records) == len(parts(generated(tmp_path / "worlds"))) == 4
+    kept = out.read_text("utf-8").splitlines()
+    out.write_text("\n".join(kept[:-1]) + "\n", "utf-8")  # interrupted
+    wrong_maps.main()
+    assert [{**r, "seconds": 0} for r in entries(out)] == [{**r, "seconds": 0} for r in records]
+    queries = sum(len(each) for each in load_queries(tmp_path / "worlds/offices-2/queries.npz"))
+    rows = {
+        row[0]: dict(zip(wrong_maps.COLUMNS, row, strict=True)) for row in wrong_maps.table(records)
+    }
+    assert rows["offices"]["queries elsewhere"] == 2 * queries
+    assert rows["offices"]["in its mirror image"] == queries
+    assert rows["warehouse"]["in its mirror image"] == 0
+    assert rows["offices"]["own map: right"] == f"{queries} of {queries}"
+
+
+def test_false_answers_are_listed_the_surest_first() -> None:
+    found = {"query": 3, "made": "single", "sensor": "vlp16", "map": "half", "error_m": 9.0}
+    false = [found | {"confidence": 0.6}, found | {"confidence": 0.9}]
+    assert [row[-1] for row in wrong_maps.false_answers([{"part": ["a-1"], "false": false}])] == [
+        0.9,
+        0.6,
+    ]

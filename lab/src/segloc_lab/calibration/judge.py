@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from rich.progress import track
 
 from segloc import Config, Localizer
+from segloc.system.processes import in_parallel
 
 from ..report import Cell, Table, entries, keep, publish, reporting, wilson
 from .rows import HOME, World, errors, worlds_of
@@ -129,12 +131,15 @@ def main() -> None:
     options.add_argument("--quiet", action="store_true", help="keep the answers, show no table")
     options.add_argument("--every", type=int, default=1, help="take each Nth world")
     options.add_argument("--first", type=int, default=0, help="number of the first world taken")
+    options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
     config = Config.preset("profile").model_copy(update={"threads": 1})
     done = {entry["world"] for entry in entries(args.out)} if args.out.exists() else set()
-    for world in track(worlds_of(args.worlds)[args.first :: args.every], "worlds"):
-        if world.name not in done:
-            keep(args.out, answers_in(world, config))
+    chosen = worlds_of(args.worlds)[args.first :: args.every]
+    left = [world for world in chosen if world.name not in done]
+    found = in_parallel(partial(answers_in, config=config), left, args.workers)
+    for _, answers in track(found, "worlds", total=len(left)):
+        keep(args.out, answers)
     if not args.quiet:
         runs = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
         by = (("kind", "By kind"), ("map", "By map"), ("made", "By query"))

@@ -26,7 +26,7 @@ from segloc.types import Float32, Float64, Int64, Pose
 
 from ..padding import mirrored, padded
 from ..script import parser
-from .worlds import KINDS, Made, load_queries
+from .worlds import KINDS, Made, generated, kind_of, load_queries
 
 PADDED = 60_000
 """Segments of a padded map."""
@@ -124,7 +124,7 @@ class World:
 
     def __init__(self, folder: Path, same: Path, other: Path) -> None:
         self.name, self._folder, self._same, self._other = folder.name, folder, same, other
-        self.kind = folder.name.rsplit("-", 1)[0]
+        self.kind = kind_of(folder)
 
     def queries(self) -> Iterator[Made]:
         """Yield all queries, drive by drive."""
@@ -149,9 +149,8 @@ class World:
 
 def worlds_of(folder: Path) -> list[World]:
     """List the complete worlds of a folder, by seed, each with two others to be lost in."""
-    found = [p for p in folder.iterdir() if (p / "queries.npz").exists() and p.suffix != ".part"]
-    found.sort(key=lambda path: int(path.name.rsplit("-", 1)[1]))
-    kinds = [path.name.rsplit("-", 1)[0] for path in found]
+    found = generated(folder)
+    kinds = [kind_of(path) for path in found]
     listed = []
     for k, (path, kind) in enumerate(zip(found, kinds, strict=True)):
         around = [(k - step) % len(found) for step in range(1, len(found))]

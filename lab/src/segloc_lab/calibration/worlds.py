@@ -8,7 +8,7 @@ those of real maps do, so that its walls are less sharp.
 Each world becomes a folder ``KIND-SEED`` with ``own.segmap``, ``half.segmap`` (the first half of
 the mapped route) and ``queries.npz`` (:class:`QuerySet`). Folders that exist are kept.
 
-    python -m segloc_lab.calibration.worlds --first-seed 21000 --each 12 --out rows/fit
+    python -m segloc_lab.calibration.worlds --first-seed 21000 --each 12 --out rows/fit --workers 2
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from segloc import Config, Scan, build_map
 from segloc.batch import query_positions
 from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
+from segloc.system.processes import in_parallel
 from segloc.types import Float32, Float64, Int64, Pose
 
 from ..script import parser
@@ -90,7 +91,6 @@ class SimulatedWorld:
     """A session to map, and later sessions of several sensors to localize."""
 
     name: str
-    alike: bool
     mapped: SimulatedSequence
     queries: dict[str, SimulatedSequence]
 
@@ -120,7 +120,7 @@ def simulated(name: str, seed: int, length_m: float = LENGTH_M) -> SimulatedWorl
     if seed % 2:
         mapped = unsharp(mapped, seed)
         queries = {sensor: unsharp(each, seed) for sensor, each in queries.items()}
-    return SimulatedWorld(f"{name} {seed}", kind.alike, mapped, queries)
+    return SimulatedWorld(f"{name} {seed}", mapped, queries)
 
 
 def unsharp(drive: SimulatedSequence, seed: int) -> SimulatedSequence:
@@ -282,21 +282,38 @@ def write_world(world: SimulatedWorld, folder: Path, config: Config) -> None:
     part.rename(folder)
 
 
+def generated(folder: Path) -> list[Path]:
+    """List the folders of complete worlds, by seed."""
+    found = [p for p in folder.iterdir() if (p / "queries.npz").exists() and p.suffix != ".part"]
+    return sorted(found, key=lambda path: int(path.name.rsplit("-", 1)[1]))
+
+
+def kind_of(world: Path | str) -> str:
+    """Return the kind of a world, of :data:`KINDS`, by the name of its folder."""
+    return Path(world).name.rsplit("-", 1)[0]
+
+
+def generate(folder: Path) -> float:
+    """Make the world of a folder ``KIND-SEED``; return the processor time [s]."""
+    config = Config.preset("profile").model_copy(update={"threads": 1})
+    start = time.process_time()
+    write_world(simulated(kind_of(folder), int(folder.name.rsplit("-", 1)[1])), folder, config)
+    return time.process_time() - start
+
+
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--each", type=int, default=2, help="worlds of every kind")
     options.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     options.add_argument("--first-seed", type=int, default=21000)
     options.add_argument("--out", type=Path, default=Path("rows"))
+    options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
-    config = Config.preset("profile").model_copy(update={"threads": 1})
-    for name, seed in seeds(args.first_seed, args.each):
-        folder = args.out / f"{name}-{seed}"
-        if name not in args.kinds or folder.exists():
-            continue
-        start = time.process_time()
-        write_world(simulated(name, seed), folder, config)
-        print(f"{folder.name}: {time.process_time() - start:.1f} s", flush=True)
+    named = seeds(args.first_seed, args.each)
+    folders = [args.out / f"{name}-{seed}" for name, seed in named if name in args.kinds]
+    left = [folder for folder in folders if not folder.exists()]
+    for number, seconds in in_parallel(generate, left, args.workers):
+        print(f"{left[number].name}: {seconds:.1f} s", flush=True)
 
 
 if __name__ == "__main__":

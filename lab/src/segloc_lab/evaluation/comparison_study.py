@@ -502,9 +502,10 @@ def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
 def _make_map(task: tuple[Job, str]) -> None:
     job, name = task
     opened = job.scenario.open()
-    recording = opened.map if name == "map" else opened.negative
-    if recording is None:
+    read = (lambda: opened.map) if name == "map" else opened.negative
+    if read is None:
         return
+    recording = read()
     maps = build_maps(recording, job.descriptors(), job.threads)
     first = next(iter(maps.values()))
     arrays = arrays_of(opened.query_sets, first.trajectory, first.cloud + first.origin)
@@ -571,8 +572,8 @@ def _ready(job: Job) -> Prepared:
 
 def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:
     found = {}
-    for name, recording in zip(PLACES, (opened.map, opened.negative), strict=True):
-        if recording is None:
+    for name in PLACES:
+        if name == "negative" and opened.negative is None:
             continue
         files = {each: job.maps / name / f"{each}.segmap" for each in job.methods}
         maps = {each: SegmentMap.load(file) for each, file in files.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -41,12 +42,12 @@ class OpenedScenario:
 
     Attributes
     ----------
-    negative : Recording or None
-        Another place by the same kind of sensor: every answer in it is false.
+    negative : callable or None
+        Opens another place by the same kind of sensor: every answer in it is false.
     """
 
     map: Recording
-    negative: Recording | None
+    negative: Callable[[], Recording] | None
     query_sets: dict[str, QuerySet]
 
 

@@ -62,7 +62,7 @@ class SuiteScenario:
             for name, item in sessions.items()
             if name != "map"
         }
-        return OpenedScenario(sessions["map"], self.negative(), query_sets)
+        return OpenedScenario(sessions["map"], self.negative, query_sets)
 
     def negative(self) -> Recording:
         """Return the drive of the other world's map."""
@@ -130,7 +130,7 @@ class KittiScenario:
 
     def open(self) -> OpenedScenario:
         town = next(test for test in SIX if test.name == "kitti")
-        negative = SuiteScenario(town, self.scale, self.seed).negative()
+        negative = SuiteScenario(town, self.scale, self.seed).negative
         names = ("single",) if self.later else ("accumulated", "sparse")
         query_sets = {name: kitti00.query_set(self.data, name) for name in names}
         return OpenedScenario(kitti00.mapped(self.data, names[0]), negative, query_sets)
