@@ -22,7 +22,8 @@ extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
                         &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
                          &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                         &add_slices,     &cell_numbers, &near_points, &sort_lanes};
+                         &add_slices,     &cell_numbers, &near_points, &sort_lanes,
+                         &axis_statistics, &pair_distances, &slice_sums};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

@@ -171,6 +171,26 @@ struct TrainKernels {
 // Lists that are sorted at a time.
 static constexpr size_t kSortLanes = 16;
 
+// Coordinates of kSortLanes clouds come in rows of a value of each. Extent, mean and standard
+// deviation along an axis:
+struct AxisLanes {
+  float low[kSortLanes], high[kSortLanes], mean[kSortLanes], spread[kSortLanes];
+};
+
+// Clouds that are cut into `slices` equal parts along an axis, from `low` on over `span`.
+struct SliceTask {
+  const float* along;      // (count, kSortLanes): the coordinate that is cut
+  const float* values[2];  // (count, kSortLanes): two coordinates, whose means are taken off
+  const float *low, *span, *means[2];
+  size_t count, slices;
+};
+
+// Of the points of a slice: their number, sums of the two values and of their squares, and the
+// greatest second value.
+struct SliceLanes {
+  float count[kSortLanes], sum[2][kSortLanes], squares[2][kSortLanes], top[kSortLanes];
+};
+
 // Windows of a map that lie side by side.
 static constexpr size_t kWindowRun = 16;
 
@@ -218,6 +238,13 @@ struct Kernels {
   // Sorts kSortLanes lists side by side: row i has the i-th value of each. `count` is a power of
   // two.
   void (*sort_lanes)(float* rows, size_t count);
+  void (*axis_statistics)(const float* rows, size_t count, AxisLanes& axis);
+  // Of each pair of `count` points, (i, j) for j < i: squared distances in space and in the plane,
+  // and differences in height.
+  void (*pair_distances)(const float* const* xyz, size_t count, float* space, float* flat,
+                         float* rise);
+  // `number` receives the slice of each point, (count, kSortLanes).
+  void (*slice_sums)(const SliceTask& task, float* number, SliceLanes* sums);
 };
 
 const Kernels& kernels(Isa isa);

@@ -51,6 +51,10 @@ inline Vec scale_by_power(Vec p, Vec n) { return _mm512_scalef_ps(p, n); }
 inline Vec choose(Vec a, Vec b, Vec x, Vec y) {
   return _mm512_mask_mov_ps(y, _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ), x);
 }
+// a == b ? x : y
+inline Vec choose_equal(Vec a, Vec b, Vec x, Vec y) {
+  return _mm512_mask_mov_ps(y, _mm512_cmp_ps_mask(a, b, _CMP_EQ_OQ), x);
+}
 // Adds one where v <= x.
 inline Vec count_not_above(Vec count, Vec v, Vec x) {
   return _mm512_mask_add_ps(count, _mm512_cmp_ps_mask(v, x, _CMP_LE_OQ), count, broadcast(1.0f));
@@ -98,6 +102,9 @@ inline Vec scale_by_power(Vec p, Vec n) {
 }
 inline Vec choose(Vec a, Vec b, Vec x, Vec y) {
   return _mm256_blendv_ps(y, x, _mm256_cmp_ps(a, b, _CMP_GT_OQ));
+}
+inline Vec choose_equal(Vec a, Vec b, Vec x, Vec y) {
+  return _mm256_blendv_ps(y, x, _mm256_cmp_ps(a, b, _CMP_EQ_OQ));
 }
 inline Vec count_not_above(Vec count, Vec v, Vec x) {
   return count + _mm256_and_ps(_mm256_cmp_ps(v, x, _CMP_LE_OQ), broadcast(1.0f));
@@ -170,6 +177,7 @@ inline Vec scale_by_power(Vec p, Vec n) {
   return reinterpret_cast<Vec>(reinterpret_cast<IntVec>(p) + shift);
 }
 inline Vec choose(Vec a, Vec b, Vec x, Vec y) { return select(a > b, x, y); }
+inline Vec choose_equal(Vec a, Vec b, Vec x, Vec y) { return select(a == b, x, y); }
 inline Vec count_not_above(Vec count, Vec v, Vec x) {
   return count + select(v <= x, broadcast(1.0f), broadcast(0.0f));
 }
