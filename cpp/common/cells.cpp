@@ -44,24 +44,24 @@ void radix_sort(std::vector<std::uint64_t>& keys, std::vector<std::uint32_t>& va
 }
 
 Bounds bounds_of(const float* points, std::size_t n) {
-  constexpr std::size_t kWide = 12;  // four points: whole vectors
-  float low[kWide], high[kWide];
-  for (std::size_t k = 0; k < kWide; ++k) low[k] = high[k] = points[k % 3];
-  std::size_t i = 0;
-  for (; i + kWide <= 3 * n; i += kWide) {
-    for (std::size_t k = 0; k < kWide; ++k) {
-      low[k] = std::min(low[k], points[i + k]);
-      high[k] = std::max(high[k], points[i + k]);
-    }
+  float low[kExtentRun], high[kExtentRun];
+  const std::size_t runs = 3 * n / kExtentRun;
+  if (runs > 0) {
+    best_kernels().extent(points, runs, low, high);
+  } else {
+    for (std::size_t k = 0; k < kExtentRun; ++k) low[k] = high[k] = points[k % 3];
   }
-  for (; i < 3 * n; ++i) {
+  for (std::size_t i = runs * kExtentRun; i < 3 * n; ++i) {
     low[i % 3] = std::min(low[i % 3], points[i]);
     high[i % 3] = std::max(high[i % 3], points[i]);
   }
   Bounds bounds;
   for (std::size_t a = 0; a < 3; ++a) {
-    bounds.low[a] = std::min({low[a], low[a + 3], low[a + 6], low[a + 9]});
-    bounds.high[a] = std::max({high[a], high[a + 3], high[a + 6], high[a + 9]});
+    for (std::size_t k = a; k < kExtentRun; k += 3) {
+      low[a] = std::min(low[a], low[k]);
+      high[a] = std::max(high[a], high[k]);
+    }
+    bounds.low[a] = low[a], bounds.high[a] = high[a];
   }
   return bounds;
 }
@@ -204,21 +204,27 @@ Runs find_runs(const float* points, std::size_t n, const CellNumbers& numbers, R
   return runs;
 }
 
-// Sorts values by their upper 32 bits, stably; the result is in either buffer.
+// Sorts values by their upper 32 bits, of which the lower `bits` are used, stably; the result is in
+// either buffer. Of many values a pass costs more than its buckets.
 std::uint64_t* sort_packed(std::uint64_t* values, std::uint64_t* buffer, std::size_t n, int bits) {
-  constexpr int kDigits = 3;
-  std::vector<std::uint32_t> start(kDigits * kBuckets, 0);
-  const int digits = (bits + kDigit - 1) / kDigit;
-  const auto digit = [](std::uint64_t value, int d) {
-    return (value >> (32 + d * kDigit)) & (kBuckets - 1);
+  constexpr int kWideDigit = 14;
+  constexpr std::size_t kMany = std::size_t{1} << 15;
+  const int widest = n < kMany ? kDigit : kWideDigit;
+  const int digits = (bits + widest - 1) / widest, width = (bits + digits - 1) / digits;
+  const std::size_t buckets = std::size_t{1} << width;
+  std::vector<std::uint32_t> start(static_cast<std::size_t>(digits) * buckets, 0);
+  const auto digit = [=](std::uint64_t value, int d) {
+    return (value >> (32 + d * width)) & (buckets - 1);
   };
   for (std::size_t i = 0; i < n; ++i) {
-    for (int d = 0; d < kDigits; ++d) ++start[d * kBuckets + digit(values[i], d)];
+    for (int d = 0; d < digits; ++d) {
+      ++start[static_cast<std::size_t>(d) * buckets + digit(values[i], d)];
+    }
   }
   for (int d = 0; d < digits; ++d) {
-    std::uint32_t* at = start.data() + d * kBuckets;
+    std::uint32_t* at = start.data() + static_cast<std::size_t>(d) * buckets;
     std::uint32_t sum = 0;
-    for (std::size_t k = 0; k < kBuckets; ++k) sum += std::exchange(at[k], sum);
+    for (std::size_t k = 0; k < buckets; ++k) sum += std::exchange(at[k], sum);
     for (std::size_t i = 0; i < n; ++i) buffer[at[digit(values[i], d)]++] = values[i];
     std::swap(values, buffer);
   }

@@ -1,4 +1,4 @@
-// Coordinates to cells.
+// Checks, extents and cells of coordinates. The compiler turns these loops into vectors.
 #pragma once
 
 #include "simd/kernels.h"
@@ -8,7 +8,39 @@ namespace segloc {
 namespace SEGLOC_ISA {
 namespace {
 
-// The compiler turns it into vectors. A reciprocal would round some places into the next cell.
+bool all_below(const float* values, size_t count, float limit) {
+  uint32_t limit_bits;
+  copy_bytes(&limit_bits, &limit, sizeof(limit_bits));
+  uint32_t faults = 0;  // no early exit
+  for (size_t i = 0; i < count; ++i) {
+    uint32_t bits;
+    copy_bytes(&bits, values + i, sizeof(bits));
+    faults += (bits & 0x7fffffff) >= limit_bits;  // NaN and infinity have the largest bits
+  }
+  return faults == 0;
+}
+
+void extent(const float* values, size_t runs, float* low, float* high) {
+  constexpr size_t kVectors = kExtentRun / kWidth;
+  Vec least[kVectors], most[kVectors];
+  SEGLOC_UNROLL
+  for (size_t k = 0; k < kVectors; ++k) least[k] = most[k] = load(values + k * kWidth);
+  for (size_t i = 1; i < runs; ++i) {
+    SEGLOC_UNROLL
+    for (size_t k = 0; k < kVectors; ++k) {
+      const Vec v = load(values + i * kExtentRun + k * kWidth);
+      least[k] = min(v, least[k]);
+      most[k] = max(v, most[k]);
+    }
+  }
+  SEGLOC_UNROLL
+  for (size_t k = 0; k < kVectors; ++k) {
+    store(low + k * kWidth, least[k]);
+    store(high + k * kWidth, most[k]);
+  }
+}
+
+// A reciprocal would round some places into the next cell.
 void cell_numbers(const float* values, size_t count, double size, int32_t* cells) {
   for (size_t i = 0; i < count; ++i) {
     const double at = static_cast<double>(values[i]) / size;

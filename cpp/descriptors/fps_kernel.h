@@ -126,26 +126,119 @@ inline void sample(const FpsCloud* clouds, size_t most) {
   }
 }
 
+// The points of a cloud in cells along a curve, so that those in a row are near each other. Cells are
+// halved along their longest side.
+class SpatialOrder {
+ public:
+  static constexpr size_t kHalvings = 9, kCells = size_t{1} << kHalvings;
+
+  SpatialOrder(const float* x, size_t n, size_t stride) : x_(x), n_(n), stride_(stride) {
+    float width[3];
+    for (size_t d = 0; d < 3; ++d) {
+      measure(d);
+      width[d] = high_[d] - low_[d];
+      parts_[d] = 1;
+      for (size_t k = 0; k < kCells; ++k) number_[d][k] = 0;
+    }
+    for (size_t k = 0; k < kHalvings; ++k) {
+      size_t d = width[1] > width[0] ? 1 : 0;
+      if (width[2] > width[d]) d = 2;
+      for (size_t axis = 0; axis < 3; ++axis) {  // a further digit of the numbers
+        for (size_t part = parts_[axis]; part-- > 0;) {
+          const auto number = static_cast<uint16_t>(2 * number_[axis][part]);
+          if (axis == d) {
+            number_[axis][2 * part] = number;
+            number_[axis][2 * part + 1] = static_cast<uint16_t>(number + 1);
+          } else {
+            number_[axis][part] = number;
+          }
+        }
+      }
+      parts_[d] *= 2;
+      width[d] *= 0.5f;
+    }
+    for (size_t d = 0; d < 3; ++d) {
+      const float whole = high_[d] - low_[d];
+      per_metre_[d] = whole > 1e-30f ? static_cast<float>(parts_[d]) / whole : 0.0f;
+    }
+  }
+
+  // Writes the points in their order, (3, stride), and the row of each; what is behind them repeats
+  // the last one.
+  void write(float* to, int32_t* rows) const {
+    uint32_t start[kCells] = {};
+    for (size_t i = 0; i < n_; ++i) {
+      const size_t k = cell(i);
+      to[i] = static_cast<float>(k);  // until its coordinates are written
+      ++start[k];
+    }
+    uint32_t sum = 0;
+    for (size_t k = 0; k < kCells; ++k) {
+      const uint32_t count = start[k];
+      start[k] = sum;
+      sum += count;
+    }
+    for (size_t i = 0; i < n_; ++i) {
+      rows[start[static_cast<size_t>(to[i])]++] = static_cast<int32_t>(i);
+    }
+    for (size_t d = 0; d < 3; ++d) {
+      for (size_t i = 0; i < n_; ++i) to[i + d * stride_] = x_[rows[i] + d * stride_];
+      for (size_t i = n_; i < stride_; ++i) to[i + d * stride_] = to[n_ - 1 + d * stride_];
+    }
+  }
+
+ private:
+  void measure(size_t d) {
+    const float* values = x_ + d * stride_;
+    Vec low = broadcast(values[0]), high = low;
+    size_t i = 0;
+    for (; i + kWidth <= n_; i += kWidth) {
+      const Vec v = load(values + i);
+      low = min(v, low), high = max(v, high);
+    }
+    low_[d] = -reduce_max(broadcast(0.0f) - low), high_[d] = reduce_max(high);
+    for (; i < n_; ++i) {
+      low_[d] = values[i] < low_[d] ? values[i] : low_[d];
+      high_[d] = values[i] > high_[d] ? values[i] : high_[d];
+    }
+  }
+
+  size_t cell(size_t i) const {
+    size_t number = 0;
+    for (size_t d = 0; d < 3; ++d) {
+      const auto part = static_cast<size_t>((x_[i + d * stride_] - low_[d]) * per_metre_[d]);
+      number |= number_[d][part < parts_[d] ? part : parts_[d] - 1];
+    }
+    return number;
+  }
+
+  const float* x_;
+  size_t n_, stride_, parts_[3];
+  float low_[3], high_[3], per_metre_[3];
+  uint16_t number_[3][kCells];
+};
+
 // Groups of 64 points with their boxes: what is farther from a box than the points in it are from
-// the set changes none of them. Points near each other in the input mostly share a group.
+// the set changes none of them.
 class Boxes {
  public:
-  // `memory` has 7 values a group, padded to 64 each.
-  Boxes(const float* x, size_t n, size_t groups, float* memory)
+  // Of whole groups of points. `memory` has 7 values a group, padded to 64 each.
+  Boxes(const float* x, size_t groups, float* memory)
       : groups_(groups), padded_(padded(groups, 64)), farthest_(memory) {
-    for (size_t g = 0; g < padded_; ++g) farthest_[g] = g < groups ? kFar : -1.0f;
+    reset();
+    for (size_t g = groups; g < padded_; ++g) farthest_[g] = -1.0f;
     for (size_t d = 0; d < 3; ++d) {
-      const float* values = x + d * groups * kFpsGroup;
-      for (size_t g = 0; g < padded_; ++g) {
-        float low = kFar, high = -kFar;
-        const size_t end = (g + 1) * kFpsGroup < n ? (g + 1) * kFpsGroup : n;
-        for (size_t i = g * kFpsGroup; i < end; ++i) {
-          low = values[i] < low ? values[i] : low;
-          high = values[i] > high ? values[i] : high;
+      for (size_t g = 0; g < groups; ++g) {
+        const float* values = x + (d * groups + g) * kFpsGroup;
+        Vec low = load(values), high = low;
+        SEGLOC_UNROLL
+        for (size_t v = kWidth; v < kFpsGroup; v += kWidth) {
+          low = min(low, load(values + v)), high = max(high, load(values + v));
         }
-        side(2 * d)[g] = low;
-        side(2 * d + 1)[g] = high;
+        side(2 * d)[g] = -reduce_max(broadcast(0.0f) - low);
+        side(2 * d + 1)[g] = reduce_max(high);
       }
+      for (size_t g = groups; g < padded_; ++g) side(2 * d)[g] = kFar, side(2 * d + 1)[g] = -kFar;
     }
   }
 
@@ -174,8 +267,16 @@ class Boxes {
     for (size_t g = kWidth; g < padded_; g += kWidth) most = max(most, load(farthest_ + g));
     return reduce_max(most);
   }
-  // The first group that has a point so far away.
-  size_t first(float distance) const { return first_equal(farthest_, broadcast(distance)); }
+  // Calls visit(group) for the groups that have a point so far away.
+  template <typename Visit>
+  void each_at(float distance, Visit&& visit) const {
+    const Vec target = broadcast(distance);
+    for (size_t first = 0; first < groups_; first += kWidth) {
+      for (uint32_t hits = equal(load(farthest_ + first), target); hits != 0; hits &= hits - 1) {
+        visit(first + lowest_bit(hits));
+      }
+    }
+  }
   void reset() {
     for (size_t g = 0; g < groups_; ++g) farthest_[g] = kFar;
   }
@@ -187,15 +288,34 @@ class Boxes {
   float* farthest_;  // distance to the set of the farthest point of each group
 };
 
+// The place of the point whose row is the lowest of those at the farthest distance.
+inline size_t first_farthest(const Boxes& boxes, const float* distance, const int32_t* rows,
+                             float farthest) {
+  const Vec target = broadcast(farthest);
+  size_t found = 0;
+  int32_t least = 0x7fffffff;
+  boxes.each_at(farthest, [&](size_t g) {
+    for (size_t v = g * kFpsGroup; v < (g + 1) * kFpsGroup; v += kWidth) {
+      for (uint32_t hits = equal(load(distance + v), target); hits != 0; hits &= hits - 1) {
+        const size_t i = v + lowest_bit(hits);
+        if (rows[i] < least) least = rows[i], found = i;
+      }
+    }
+  });
+  return found;
+}
+
 // Of a large cloud most points are far from the last one that was taken: only the groups near it
-// are looked at.
+// are looked at. Points near each other share a group.
 void sample_large(const FpsCloud& cloud, size_t groups) {
   const size_t n = cloud.n, stride = groups * kFpsGroup;
-  float* x = cloud.memory;
-  float* distance = x + 3 * stride;
-  Boxes boxes(x, n, groups, x + 4 * stride);
+  float* distance = cloud.memory + 3 * stride;
+  float* x = cloud.memory + 4 * stride;
+  auto* rows = reinterpret_cast<int32_t*>(x + 3 * stride);
+  SpatialOrder(cloud.memory, n, stride).write(x, rows);
+  Boxes boxes(x, groups, x + 4 * stride);
   float place[3];
-  for (size_t d = 0; d < 3; ++d) place[d] = mean(x + d * stride, n);
+  for (size_t d = 0; d < 3; ++d) place[d] = mean(cloud.memory + d * stride, n);
   reset(distance, n, groups);
   for (size_t s = 0; s < cloud.samples; ++s) {
     const Vec cx = broadcast(place[0]), cy = broadcast(place[1]), cz = broadcast(place[2]);
@@ -204,18 +324,18 @@ void sample_large(const FpsCloud& cloud, size_t groups) {
       SEGLOC_UNROLL
       for (size_t v = 0; v < kFpsGroup; v += kWidth) {
         float* p = x + g * kFpsGroup + v;
+        float* to = distance + g * kFpsGroup + v;
         const Vec dx = cx - load(p), dy = cy - load(p + stride), dz = cz - load(p + 2 * stride);
-        const Vec d = min(dx * dx + dy * dy + dz * dz, load(p + 3 * stride));
-        store(p + 3 * stride, d);
+        const Vec d = min(dx * dx + dy * dy + dz * dz, load(to));
+        store(to, d);
         most = max(most, d);
       }
       return reduce_max(most);
     });
     const float farthest = boxes.farthest();
     if (!(farthest > 0.0f)) return fill_rest(distance, cloud.order, n, s, cloud.samples);
-    const size_t group = boxes.first(farthest) * kFpsGroup;
-    const size_t i = group + first_equal(distance + group, broadcast(farthest));
-    cloud.order[s] = static_cast<int32_t>(i);
+    const size_t i = first_farthest(boxes, distance, rows, farthest);
+    cloud.order[s] = rows[i];
     for (size_t d = 0; d < 3; ++d) place[d] = x[i + d * stride];
     if (s == 0) {  // the centroid is no member of the set
       reset(distance, n, groups);

@@ -43,7 +43,12 @@ Vec3 mean_of(const float* p, std::size_t n) {
 Vec3 centre_points(const float* p, std::size_t n, std::vector<float>& centred) {
   const Vec3 mean = mean_of(p, n);
   centred.resize(3 * n);
-  for (std::size_t i = 0; i < 3 * n; ++i) centred[i] = static_cast<float>(p[i] - mean[i % 3]);
+  const double x = mean[0], y = mean[1], z = mean[2];
+  for (std::size_t i = 0; i < n; ++i) {
+    centred[3 * i] = static_cast<float>(p[3 * i] - x);
+    centred[3 * i + 1] = static_cast<float>(p[3 * i + 1] - y);
+    centred[3 * i + 2] = static_cast<float>(p[3 * i + 2] - z);
+  }
   return mean;
 }
 

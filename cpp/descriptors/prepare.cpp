@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <memory>
 #include <vector>
 
 #include "common/aligned.h"
@@ -129,8 +130,12 @@ void prepare_segments(const float* points, const int64_t* offsets, std::size_t s
     }
   }
   std::sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.n > b.n; });
-  parallel_for(tasks.size(), 8, threads, [&](std::size_t begin, std::size_t end, int) {
-    Preparer(count, alignment, k).prepare(tasks.data() + begin, end - begin);
+  std::vector<std::unique_ptr<Preparer>> workers(
+      static_cast<std::size_t>(resolve_threads(threads)));
+  parallel_for(tasks.size(), 8, threads, [&](std::size_t begin, std::size_t end, int worker) {
+    std::unique_ptr<Preparer>& own = workers[static_cast<std::size_t>(worker)];
+    if (!own) own = std::make_unique<Preparer>(count, alignment, k);
+    own->prepare(tasks.data() + begin, end - begin);
   });
 }
 

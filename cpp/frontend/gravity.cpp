@@ -6,6 +6,7 @@
 
 #include "common/cells.h"
 #include "common/eigen_axes.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -61,38 +62,21 @@ std::vector<float> thinned_near(const float* points, std::size_t n, const FlatOp
   return voxel_grid(near.get(), size / 3, options.voxel_size, bounds);
 }
 
-// Of the directions, the first that most normals agree with. The score of a direction is summed in
-// parts, so that it becomes vector instructions.
+// Of the directions, the first that most normals agree with.
 std::size_t best_direction(const float* normals, std::size_t n, const double* directions,
                            std::size_t count) {
-  const std::size_t stride = (n + kLanes - 1) / kLanes * kLanes;
+  const std::size_t stride = padded(n, kLanes);
   std::vector<float> xyz(3 * stride, 0.0f);  // zeros count the same for all directions
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t a = 0; a < 3; ++a) xyz[a * stride + i] = normals[3 * i + a];
   }
-  const float *x = xyz.data(), *y = x + stride, *z = y + stride;
+  const PointArrays arrays = {xyz.data(), xyz.data() + stride, xyz.data() + 2 * stride};
   const double sine = std::sin(kStart);
-  const auto slope = static_cast<float>(1.0 / (sine * sine));
-  std::size_t best = 0;
-  double most = -1.0;
-  for (std::size_t k = 0; k < count; ++k) {
-    const auto dx = static_cast<float>(directions[3 * k]);
-    const auto dy = static_cast<float>(directions[3 * k + 1]);
-    const auto dz = static_cast<float>(directions[3 * k + 2]);
-    float part[kLanes] = {};
-    for (std::size_t i = 0; i < stride; i += kLanes) {
-      for (std::size_t lane = 0; lane < kLanes; ++lane) {
-        const float along = x[i + lane] * dx + y[i + lane] * dy + z[i + lane] * dz;
-        const float squared = along * along;
-        const float nearest = std::min(squared, 1.0f - squared);  // sine to either, squared
-        part[lane] += std::max(1.0f - nearest * slope, 0.0f);
-      }
-    }
-    double score = 0.0;
-    for (const float each : part) score += each;
-    if (score > most) most = score, best = k;
-  }
-  return best;
+  std::vector<double> scores(count);
+  best_kernels().agreements(arrays, stride, directions, count,
+                            static_cast<float>(1.0 / (sine * sine)), scores.data());
+  return static_cast<std::size_t>(std::max_element(scores.begin(), scores.end()) -
+                                  scores.begin());
 }
 
 // Adds a squared sine as a quadratic form of the direction: of the angle between it and the normal

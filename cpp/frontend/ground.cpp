@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "common/cells.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
@@ -17,36 +18,32 @@ constexpr std::int64_t kSupportRadius = 10;  // cells
 constexpr double kSupportSlope = 0.05;       // how fast the band of support widens with distance
 constexpr int kEnoughSupport = 24;           // cells
 constexpr double kSupportShare = 0.15;
+constexpr std::size_t kChunk = 1024;  // points whose cells are computed at a time, from cache
+constexpr std::size_t kBehind = 15;   // values behind a row that vectors reach
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
-// Division by the edge of a cell; where that is a power of two a product is as exact, and faster.
-class Cells {
- public:
-  explicit Cells(double edge) : edge_(edge), inverse_(1.0 / edge) {
-    int exponent = 0;
-    exact_ = std::frexp(edge, &exponent) == 0.5 && std::isfinite(inverse_);
-  }
-  double operator()(double metres) const { return exact_ ? metres * inverse_ : metres / edge_; }
-
- private:
-  double edge_, inverse_;
-  bool exact_;
-};
+bool is_power_of_two(double edge) {
+  int exponent = 0;
+  return std::frexp(edge, &exponent) == 0.5 && std::isfinite(1.0 / edge);
+}
 
 // The lowest point of each cell, with a border of unknown ones: no neighbour is out of bounds.
 struct Grid {
   static constexpr std::int64_t kBorder = kSupportRadius;
 
   Grid(double edge, double low_x, double low_y, std::int64_t columns, std::int64_t rows)
-      : x0(low_x), y0(low_y), cell(edge), in_cells(edge), nx(columns), ny(rows),
-        stride(columns + 2 * kBorder),
+      : x0(low_x), y0(low_y), cell(edge), nx(columns), ny(rows), stride(columns + 2 * kBorder),
         z(static_cast<std::size_t>(stride * (rows + 2 * kBorder)), kUnknown) {}
+
+  GroundLattice lattice() const {
+    const auto narrow = [](std::int64_t v) { return static_cast<std::int32_t>(v); };
+    return {x0, y0, cell, is_power_of_two(cell), narrow(nx), narrow(ny), narrow(stride)};
+  }
 
   float* row(std::int64_t iy) { return z.data() + (iy + kBorder) * stride + kBorder; }
   const float* row(std::int64_t iy) const { return z.data() + (iy + kBorder) * stride + kBorder; }
 
   double x0, y0, cell;
-  Cells in_cells;
   std::int64_t nx, ny, stride;
   std::vector<float> z;
 };
@@ -66,12 +63,16 @@ Grid lowest_points(const float* points, std::size_t n, double cell) {
     throw std::invalid_argument("the cloud is too wide for a ground grid");
   Grid grid(cell, first[0] * cell, first[1] * cell, static_cast<std::int64_t>(count[0]),
             static_cast<std::int64_t>(count[1]));
-  for (std::size_t i = 0; i < n; ++i) {
-    const auto ix = static_cast<std::int64_t>(grid.in_cells(points[3 * i] - grid.x0));
-    const auto iy = static_cast<std::int64_t>(grid.in_cells(points[3 * i + 1] - grid.y0));
-    float& z = grid.row(std::clamp<std::int64_t>(iy, 0, grid.ny - 1))[
-        std::clamp<std::int64_t>(ix, 0, grid.nx - 1)];
-    z = std::min(z, points[3 * i + 2]);
+  const GroundLattice lattice = grid.lattice();
+  float* z = grid.row(0);
+  std::int32_t cells[kChunk];
+  for (std::size_t begin = 0; begin < n; begin += kChunk) {
+    const std::size_t size = std::min(kChunk, n - begin);
+    const float* p = points + 3 * begin;
+    best_kernels().ground_cells(p, size, lattice, cells);
+    for (std::size_t i = 0; i < size; ++i) {
+      if (p[3 * i + 2] < z[cells[i]]) z[cells[i]] = p[3 * i + 2];
+    }
   }
   return grid;
 }
@@ -92,17 +93,10 @@ class Support {
 
   // How many of the nearest cells around each cell of a row support it: most need no more.
   void count_nearest(std::int64_t iy, std::int32_t* level) const {
-    constexpr std::int64_t kNearest = 3;
-    const float* z = grid_.row(iy);
-    std::fill(level, level + grid_.nx, 0);
-    for (std::int64_t dy = -kNearest; dy <= kNearest; ++dy) {
-      for (std::int64_t dx = -kNearest; dx <= kNearest; ++dx) {
-        if (dx == 0 && dy == 0) continue;
-        const float band = band_[dy + kSupportRadius][dx + kSupportRadius];
-        const float* other = grid_.row(iy + dy) + dx;
-        for (std::int64_t x = 0; x < grid_.nx; ++x) level[x] += std::fabs(other[x] - z[x]) <= band;
-      }
-    }
+    constexpr int kNearest = 3;
+    best_kernels().count_like(grid_.row(iy), grid_.stride, static_cast<std::size_t>(grid_.nx),
+                              &band_[kSupportRadius][kSupportRadius], 2 * kSupportRadius + 1,
+                              kNearest, level);
   }
 
   // Whether a cell that has a point is supported, by all around it.
@@ -129,7 +123,7 @@ class Support {
 // cells without support around them are ignored.
 void drop_outliers(Grid& grid, double margin) {
   const Support support(grid, margin);
-  std::vector<std::int32_t> level(static_cast<std::size_t>(grid.nx));
+  std::vector<std::int32_t> level(static_cast<std::size_t>(grid.nx) + kBehind);
   std::vector<std::size_t> dropped;
   bool any = false;  // is supported
   for (std::int64_t iy = 0; iy < grid.ny; ++iy) {
@@ -169,19 +163,6 @@ void lower_envelope(Grid& grid, double max_slope) {
   }
 }
 
-// Bilinear between cell centres.
-float ground_at(const Grid& grid, float px, float py) {
-  const double x = std::clamp(grid.in_cells(px - grid.x0) - 0.5, 0.0, double(grid.nx - 1));
-  const double y = std::clamp(grid.in_cells(py - grid.y0) - 0.5, 0.0, double(grid.ny - 1));
-  const auto ix = static_cast<std::int64_t>(x), iy = static_cast<std::int64_t>(y);
-  const std::int64_t jx = std::min(ix + 1, grid.nx - 1), jy = std::min(iy + 1, grid.ny - 1);
-  const double u = x - double(ix), v = y - double(iy);
-  const float *below = grid.row(iy), *above = grid.row(jy);
-  const double near = (1 - u) * below[ix] + u * below[jx];
-  const double far = (1 - u) * above[ix] + u * above[jx];
-  return static_cast<float>((1 - v) * near + v * far);
-}
-
 }  // namespace
 
 std::vector<float> heights_above_ground(const float* points, std::size_t n,
@@ -192,9 +173,7 @@ std::vector<float> heights_above_ground(const float* points, std::size_t n,
   Grid grid = lowest_points(points, n, options.cell);
   drop_outliers(grid, options.outlier);
   lower_envelope(grid, options.max_slope);
-  for (std::size_t i = 0; i < n; ++i) {
-    heights[i] = points[3 * i + 2] - ground_at(grid, points[3 * i], points[3 * i + 1]);
-  }
+  best_kernels().ground_heights(points, n, grid.lattice(), grid.row(0), heights.data());
   return heights;
 }
 

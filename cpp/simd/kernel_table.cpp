@@ -6,6 +6,8 @@
 #include "descriptors/network/neighbors_kernel.h"
 #include "descriptors/network/xconv_kernel.h"
 #include "descriptors/profile_kernel.h"
+#include "frontend/gravity_kernel.h"
+#include "frontend/ground_kernel.h"
 #include "frontend/planes_kernel.h"
 #include "proposals/matching/knn_kernel.h"
 #include "proposals/occupancy/windows_kernel.h"
@@ -22,7 +24,8 @@ extern const Kernels kTable;
 const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
                         &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
                          &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                         &add_slices,     &cell_numbers, &near_points, &sort_lanes,
+                         &add_slices,     &all_below, &extent, &cell_numbers, &near_points, &ground_cells,
+                         &ground_heights, &count_like, &agreements, &sort_lanes,
                          &axis_statistics, &pair_distances, &slice_sums};
 
 }  // namespace SEGLOC_ISA

@@ -191,6 +191,16 @@ struct SliceLanes {
   float count[kSortLanes], sum[2][kSortLanes], squares[2][kSortLanes], top[kSortLanes];
 };
 
+// Values whose extents are taken at a time: whole points and whole vectors.
+static constexpr size_t kExtentRun = 48;
+
+// Square cells over the plane, (ny, stride), of which the first nx columns count.
+struct GroundLattice {
+  double x0, y0, edge;
+  bool is_power;  // the edge is a power of two
+  int32_t nx, ny, stride;
+};
+
 // Windows of a map that lie side by side.
 static constexpr size_t kWindowRun = 16;
 
@@ -229,12 +239,31 @@ struct Kernels {
   // `places` of the image.
   void (*add_slices)(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,
                      uint8_t* sums);
-  // floor(values / size), all of which fit 32 bits.
+  // Whether each value is finite and its magnitude below `limit`.
+  bool (*all_below)(const float* values, size_t count, float limit);
+  // The least and the greatest of values kExtentRun apart, of at least one run.
+  void (*extent)(const float* values, size_t runs, float* low, float* high);
+  // floor(values / size), all of which are below 2^30.
   void (*cell_numbers)(const float* values, size_t count, double size, int32_t* cells);
   // Writes the points in [begin, end) within the distance of a place, squared, and returns how
   // many. Up to 15 values behind them may be written.
   size_t (*near_points)(const PointArrays& points, const float* place, float distance2,
                         size_t begin, size_t end, uint32_t* found);
+  // The number of the cell of each point, or of the nearest one.
+  void (*ground_cells)(const float* points, size_t count, const GroundLattice& lattice,
+                       int32_t* cells);
+  // Heights of points above the bilinear surface through the centres of cells of height z.
+  void (*ground_heights)(const float* points, size_t count, const GroundLattice& lattice,
+                         const float* z, float* heights);
+  // How many of the other values within `reach` rows and columns of each of a row differ from it
+  // by no more than their band; `bands` points to the middle one. Up to 15 values behind the last
+  // are read and written.
+  void (*count_like)(const float* z, ptrdiff_t stride, size_t count, const float* bands,
+                     size_t band_stride, int reach, int32_t* level);
+  // Sums over normals of 1 - slope * (squared sine to the direction or its plane), where positive.
+  // `count` is a multiple of 16.
+  void (*agreements)(const PointArrays& normals, size_t count, const double* directions,
+                     size_t direction_count, float slope, double* scores);
   // Sorts kSortLanes lists side by side: row i has the i-th value of each. `count` is a power of
   // two.
   void (*sort_lanes)(float* rows, size_t count);
@@ -264,9 +293,10 @@ static constexpr size_t kFpsGroup = 64;
 static constexpr size_t kFpsFewGroups = 8;  // clouds that are sampled in lockstep have no more
 static constexpr size_t fps_groups(size_t n) { return (n + kFpsGroup - 1) / kFpsGroup; }
 // The largest distances of each group, one vector (of at most 16) a group, in blocks of 64. Of a
-// large cloud: one value a group, and the box of each group.
+// large cloud: its points in another order, one value a group, and the box of each group.
 static constexpr size_t fps_group_max_size(size_t groups) {
-  return groups > kFpsFewGroups ? 7 * padded(groups, 64) : padded(groups * 16, 64);
+  return groups > kFpsFewGroups ? 4 * groups * kFpsGroup + 7 * padded(groups, 64)
+                                : padded(groups * 16, 64);
 }
 
 }  // namespace segloc
