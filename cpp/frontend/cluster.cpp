@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <memory>
 #include <numeric>
 
 #include "common/cells.h"
@@ -34,12 +35,19 @@ class DisjointSets {
   std::vector<std::uint32_t> parent_;
 };
 
+// Memory that is written before it is read.
+template <typename T>
+using Raw = std::unique_ptr<T[]>;
+template <typename T>
+Raw<T> raw(std::size_t size) {
+  return Raw<T>(new T[size]);
+}
+
 // The points above the lowest of the cuts, which are these rows of the input. Their levels: how many
 // of the cuts, which fall, they are not above.
 struct Above {
   Above(const float* all, const float* heights, std::size_t n, const std::vector<double>& falling)
-      : rows(n), level(n), points(3 * n) {
-    std::size_t count = 0;
+      : rows(raw<std::uint32_t>(n)), level(raw<std::uint8_t>(n)), points(raw<float>(3 * n)) {
     for (std::size_t i = 0; i < n; ++i) {  // what is not kept is written over by the next one
       std::size_t below = 0;
       for (const double cut : falling) below += !(heights[i] > cut);
@@ -48,12 +56,12 @@ struct Above {
       for (std::size_t a = 0; a < 3; ++a) points[3 * count + a] = all[3 * i + a];
       count += below < falling.size();
     }
-    rows.resize(count), level.resize(count), points.resize(3 * count);
   }
 
-  std::vector<std::uint32_t> rows;
-  std::vector<std::uint8_t> level;
-  std::vector<float> points;
+  std::size_t count = 0;
+  Raw<std::uint32_t> rows;
+  Raw<std::uint8_t> level;
+  Raw<float> points;
 };
 
 // Points that are always linked: those in a cube of half the radius. The highest level comes first.
@@ -75,19 +83,17 @@ class Lattice {
  public:
   Lattice(const Above& above, std::size_t levels, double radius)
       : levels_(levels), radius2_(static_cast<float>(radius * radius)), sets_(0) {
-    const std::vector<float>& points = above.points;
-    const std::size_t n = above.rows.size();
+    const float* points = above.points.get();
+    const std::size_t n = above.count;
     // A hair wider than the radius, so that rounding never puts linked points two blocks apart.
     const double block_size = radius * (1.0 + 1e-6);
-    const CellRuns sorted = sort_into_runs(points.data(), n, block_size);
+    const CellRuns sorted = sort_into_runs(points, n, block_size);
     stride_y_ = sorted.stride_y;
     stride_z_ = sorted.stride_z;
-    order_.resize(n);
-    cell_of_.resize(n);
-    xyz_.resize(3 * n);
+    order_ = raw<std::uint32_t>(n), cell_of_ = raw<std::uint32_t>(n), xyz_ = raw<float>(3 * n);
     ends_.reserve(levels * n / 2);
     blocks_.reserve(n / 4);
-    const std::vector<std::uint16_t> slots = slots_of(points, above.level, block_size);
+    const Raw<std::uint16_t> slots = slots_of(above, block_size);
     const CellRun* end = sorted.runs.data() + sorted.runs.size();
     std::uint32_t row = 0;
     for (const CellRun* begin = sorted.runs.data(); begin < end;) {
@@ -130,23 +136,21 @@ class Lattice {
  private:
   // The cell of each point within its block, and its level: whether it lies in the upper half of the
   // block along each axis.
-  std::vector<std::uint16_t> slots_of(const std::vector<float>& points,
-                                      const std::vector<std::uint8_t>& level,
-                                      double block_size) const {
-    std::vector<std::uint16_t> slots(level.size());
-    const std::vector<std::uint8_t> upper = odd_cells(points.data(), points.size(), block_size / 2);
-    for (std::size_t i = 0; i < slots.size(); ++i) {
+  Raw<std::uint16_t> slots_of(const Above& above, double block_size) const {
+    Raw<std::uint16_t> slots = raw<std::uint16_t>(above.count);
+    const std::vector<std::uint8_t> upper =
+        odd_cells(above.points.get(), 3 * above.count, block_size / 2);
+    for (std::size_t i = 0; i < above.count; ++i) {
       const std::size_t octant =
           upper[3 * i] | std::size_t{upper[3 * i + 1]} << 1 | std::size_t{upper[3 * i + 2]} << 2;
-      slots[i] = static_cast<std::uint16_t>(octant * levels_ + level[i]);
+      slots[i] = static_cast<std::uint16_t>(octant * levels_ + above.level[i]);
     }
     return slots;
   }
 
   // The block of some runs, whose points come from `row` on; the row behind them.
-  std::uint32_t add_block(const std::vector<float>& points, const CellRun* begin,
-                          const CellRun* end, const std::vector<std::uint16_t>& slots,
-                          std::uint32_t row) {
+  std::uint32_t add_block(const float* points, const CellRun* begin, const CellRun* end,
+                          const Raw<std::uint16_t>& slots, std::uint32_t row) {
     start_.assign(8 * levels_, 0);
     cell_of_slot_.resize(8 * levels_);
     for (const CellRun* run = begin; run < end; ++run) {
@@ -174,8 +178,8 @@ class Lattice {
         const std::uint32_t slot = start_[slots[point]]++;
         order_[slot] = point;
         cell_of_[point] = cell_of_slot_[slots[point]];
-        std::copy_n(points.begin() + 3 * static_cast<std::ptrdiff_t>(point), 3,
-                    xyz_.begin() + 3 * static_cast<std::ptrdiff_t>(slot));
+        std::copy_n(points + 3 * static_cast<std::size_t>(point), 3,
+                    xyz_.get() + 3 * static_cast<std::size_t>(slot));
       }
     }
     const auto end_cell = static_cast<std::uint32_t>(cells_.size());
@@ -249,8 +253,8 @@ class Lattice {
   std::size_t levels_, level_ = 0;
   float radius2_;
   std::int64_t stride_y_ = 0, stride_z_ = 0;
-  std::vector<std::uint32_t> order_, cell_of_;
-  std::vector<float> xyz_;
+  Raw<std::uint32_t> order_, cell_of_;
+  Raw<float> xyz_;
   std::vector<Cell> cells_;
   std::vector<std::uint32_t> ends_, start_;  // of each level of each cell, or of a block's cell
   std::vector<std::uint32_t> cell_of_slot_;  // of a block
@@ -283,11 +287,10 @@ Clusters clusters_of(Lattice& lattice, const Above& above, std::size_t level,
     result.offsets.push_back(result.offsets.back() + size[root]);
   }
   result.points.resize(static_cast<std::size_t>(result.offsets.back()));
-  for (std::size_t i = 0; i < above.rows.size(); ++i) {
+  for (std::size_t i = 0; i < above.count; ++i) {
+    if (above.level[i] > level) continue;
     std::int64_t& at = next[root_of[lattice.cell_of(i)]];
-    if (above.level[i] <= level && at >= 0) {
-      result.points[static_cast<std::size_t>(at++)] = above.rows[i];
-    }
+    if (at >= 0) result.points[static_cast<std::size_t>(at++)] = above.rows[i];
   }
   return result;
 }

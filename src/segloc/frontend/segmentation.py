@@ -98,8 +98,13 @@ def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32
     """
     ground = config.ground_cell, config.ground_slope, config.ground_step
     wide = _BLOCK_CELLS * config.ground_cell
-    # Column by column: along the other axis NumPy takes thirty times as long.
-    if not len(points) or max(np.ptp(points[:, 0]), np.ptp(points[:, 1])) <= wide:
+    # All values at once, which bounds both extents, or column by column: along the other axis NumPy
+    # takes thirty times as long.
+    if (
+        not len(points)
+        or np.ptp(points) <= wide
+        or max(np.ptp(points[:, 0]), np.ptp(points[:, 1])) <= wide
+    ):
         return _native.heights_above_ground(points, *ground)
     blocks = np.floor(points[:, :2].astype(np.float64) / wide).astype(np.int64)
     number = np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
