@@ -1,6 +1,8 @@
 // Sampling, preparation and hand-made descriptors, on odd segments.
 #include <cmath>
 #include <cstdint>
+#include <cstring>
+#include <utility>
 
 #include "descriptors/esf.h"
 #include "descriptors/fps.h"
@@ -48,8 +50,38 @@ void profiles() {
   }
 }
 
+// Statistics of clouds side by side are the same on all instruction sets, bit by bit.
+void lanes_agree(Isa isa) {
+  const Kernels &k = kernels(isa), &portable = kernels(Isa::portable);
+  constexpr std::size_t kCount = 33;
+  const auto rows = random_floats(3 * kCount * kSortLanes, -4.0f, 4.0f, 9);
+  const float* const xyz[] = {rows.data(), rows.data() + kCount * kSortLanes,
+                              rows.data() + 2 * kCount * kSortLanes};
+  AxisLanes axes[3], expected[3];
+  for (std::size_t d = 0; d < 3; ++d) {
+    k.axis_statistics(xyz[d], kCount, axes[d]);
+    portable.axis_statistics(xyz[d], kCount, expected[d]);
+  }
+  CHECK(std::memcmp(axes, expected, sizeof(axes)) == 0);
+  const std::vector<float> span(kSortLanes, 8.0f);
+  const SliceTask task = {xyz[2],   {xyz[0], xyz[1]}, axes[2].low, span.data(),
+                          {axes[0].mean, axes[1].mean}, kCount,      8};
+  std::vector<float> numbers(kCount * kSortLanes);
+  SliceLanes sums[8], expected_sums[8];
+  k.slice_sums(task, numbers.data(), sums);
+  portable.slice_sums(task, numbers.data(), expected_sums);
+  CHECK(std::memcmp(sums, expected_sums, sizeof(sums)) == 0);
+  constexpr std::size_t kPairs = kCount * (kCount - 1) / 2 * kSortLanes;
+  std::vector<float> pairs(3 * kPairs), expected_pairs(3 * kPairs);
+  for (const auto& [kernel, to] : {std::pair{&k, &pairs}, std::pair{&portable, &expected_pairs}}) {
+    float* p = to->data();
+    kernel->pair_distances(xyz, kCount, p, p + kPairs, p + 2 * kPairs);
+  }
+  CHECK(pairs == expected_pairs);
+}
+
 void sampling(Isa isa) {
-  for (const std::size_t n : {1, 5, 63, 64, 65, 256, 300}) {
+  for (const std::size_t n : {1, 5, 63, 64, 65, 256, 300, 700}) {
     const auto points = random_floats(3 * 4 * n, -3.0f, 3.0f, 7);
     std::vector<int32_t> order(4 * n), portable(4 * n);
     farthest_points(points.data(), 4, n, n, isa, 2, order.data());
@@ -74,6 +106,7 @@ void descriptors_tests() {
   segloc::hand_made();
   segloc::profiles();
   for (const segloc::Isa isa : instruction_sets()) {
+    segloc::lanes_agree(isa);
     segloc::sampling(isa);
   }
 }

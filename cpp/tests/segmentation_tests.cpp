@@ -1,8 +1,10 @@
 // Segmentation at every size from nothing up.
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "common/cells.h"
+#include "common/portability.h"
 #include "frontend/cluster.h"
 #include "frontend/gravity.h"
 #include "frontend/ground.h"
@@ -44,6 +46,65 @@ void kernels_agree(Isa isa) {
       }
       std::sort(expected.begin(), expected.end());
       CHECK(found == expected);
+    }
+  }
+}
+
+// Their answers are the same, bit by bit, also where rows end within a vector.
+void grounds_agree(Isa isa) {
+  const Kernels &k = kernels(isa), &portable = kernels(Isa::portable);
+  constexpr int kReach = 3, kColumns = 37, kRows = 11, kStride = kColumns + 20;
+  auto z = random_floats(kStride * (kRows + 8), -1.0f, 1.0f, 23);
+  for (std::size_t i = 0; i < z.size(); i += 5) z[i] = kInfinity;
+  const auto bands = random_floats(49, 0.1f, 0.9f, 24);
+  std::vector<std::int32_t> level(kColumns + 15), expected_level(level);
+  const float* row = z.data() + 5 * kStride + kReach;
+  const float* band = bands.data() + 24;
+  k.count_like(row, kStride, kColumns, band, 7, kReach, level.data());
+  portable.count_like(row, kStride, kColumns, band, 7, kReach, expected_level.data());
+  CHECK(std::equal(level.begin(), level.begin() + kColumns, expected_level.begin()));
+  for (float& each : z) each = std::isfinite(each) ? each : 0.5f;
+  for (const double edge : {0.5, 0.7}) {
+    const GroundLattice lattice = {-4.0, -2.0, edge, edge == 0.5, kColumns, kRows, kStride};
+    for (const std::size_t n : kSizes) {
+      const auto points = random_floats(3 * n, -5.0f, 8.0f, 25);
+      std::vector<std::int32_t> cells(n), expected_cells(n);
+      k.ground_cells(points.data(), n, lattice, cells.data());
+      portable.ground_cells(points.data(), n, lattice, expected_cells.data());
+      CHECK(cells == expected_cells);
+      std::vector<float> heights(n), expected(n);
+      k.ground_heights(points.data(), n, lattice, z.data(), heights.data());
+      portable.ground_heights(points.data(), n, lattice, z.data(), expected.data());
+      CHECK(heights == expected);
+    }
+  }
+}
+
+// Checks, extents and votes for the vertical.
+void sums_agree(Isa isa) {
+  const Kernels &k = kernels(isa), &portable = kernels(Isa::portable);
+  constexpr std::size_t kNormals = 48, kDirections = 5;
+  const auto normals = random_floats(3 * kNormals, -0.6f, 0.6f, 26);
+  const PointArrays arrays = {normals.data(), normals.data() + kNormals,
+                              normals.data() + 2 * kNormals};
+  const std::vector<double> directions = {0, 0, 1, 0.6, 0, 0.8, 0, 0.6, 0.8, 1, 0, 0, 0, 1, 0};
+  std::vector<double> scores(kDirections), expected(kDirections);
+  k.agreements(arrays, kNormals, directions.data(), kDirections, 9.0f, scores.data());
+  portable.agreements(arrays, kNormals, directions.data(), kDirections, 9.0f, expected.data());
+  CHECK(scores == expected);
+  auto values = random_floats(3 * kExtentRun, -9.0f, 9.0f, 27);
+  std::vector<float> low(kExtentRun), high(kExtentRun);
+  k.extent(values.data(), 3, low.data(), high.data());
+  for (std::size_t i = 0; i < kExtentRun; ++i) {
+    const auto each = {values[i], values[i + kExtentRun], values[i + 2 * kExtentRun]};
+    CHECK(low[i] == std::min(each) && high[i] == std::max(each));
+  }
+  CHECK(k.all_below(values.data(), values.size(), 9.5f));
+  for (const float fault : {-9.5f, kInfinity, std::nanf("")}) {
+    for (const std::size_t at : {std::size_t{0}, std::size_t{77}, values.size() - 1}) {
+      const float kept = std::exchange(values[at], fault);
+      CHECK(!k.all_below(values.data(), values.size(), 9.5f));
+      values[at] = kept;
     }
   }
 }
@@ -135,7 +196,11 @@ void nearest_points() {
 }  // namespace segloc
 
 void segmentation_tests() {
-  for (const segloc::Isa isa : instruction_sets()) segloc::kernels_agree(isa);
+  for (const segloc::Isa isa : instruction_sets()) {
+    segloc::kernels_agree(isa);
+    segloc::grounds_agree(isa);
+    segloc::sums_agree(isa);
+  }
   segloc::clouds();
   segloc::nearest_points();
 }
