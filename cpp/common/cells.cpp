@@ -122,8 +122,14 @@ void each_chunk(const float* points, std::size_t n, const CellNumbers& numbers, 
     const float* p = points + 3 * begin;
     if (numbers.narrow) {
       kernels.cell_numbers(p, 3 * count, numbers.size, cells);
-      for (std::size_t i = 0; i < count; ++i) {
-        keys[i] = numbers.key(cells[3 * i], cells[3 * i + 1], cells[3 * i + 2]);
+      if (numbers.bits <= 32) {
+        kernels.cell_keys(cells, count, static_cast<std::uint32_t>(numbers.stride_y),
+                          static_cast<std::uint32_t>(numbers.stride_z),
+                          static_cast<std::uint32_t>(numbers.base), keys);
+      } else {
+        for (std::size_t i = 0; i < count; ++i) {
+          keys[i] = numbers.key(cells[3 * i], cells[3 * i + 1], cells[3 * i + 2]);
+        }
       }
     } else {
       const auto cell = [&](std::size_t k) { return floor_of(p[k] / numbers.size); };
@@ -256,16 +262,16 @@ void in_order(const Runs& runs, int bits, Visit&& visit) {
   for (std::size_t k = 0; k < runs.count; ++k) visit(order[k], keys[k], order[later(k)]);
 }
 
-CellNumbers numbered(std::size_t n, double size, const Bounds& bounds) {
+CellNumbers numbered(const float* points, std::size_t n, double size) {
   if (!(size > 0.0)) throw std::invalid_argument("cell size must be positive");
   if (n > std::numeric_limits<std::uint32_t>::max()) throw std::invalid_argument("too many points");
-  return {bounds, size};
+  return {n == 0 ? Bounds{} : bounds_of(points, n), size};
 }
 
 }  // namespace
 
 CellRuns sort_into_runs(const float* points, std::size_t n, double size) {
-  const CellNumbers numbers = numbered(n, size, n == 0 ? Bounds{} : bounds_of(points, n));
+  const CellNumbers numbers = numbered(points, n, size);
   CellRuns cells;
   cells.stride_y = numbers.stride_y, cells.stride_z = numbers.stride_z;
   const Runs runs = find_runs(points, n, numbers, nullptr);
@@ -311,12 +317,7 @@ std::vector<std::uint8_t> odd_cells(const float* values, std::size_t count, doub
 // Runs are summed on the way: sums of single precision in double are exact, so nothing depends on
 // the order.
 std::vector<float> voxel_grid(const float* points, std::size_t n, double size) {
-  return voxel_grid(points, n, size, n == 0 ? Bounds{} : bounds_of(points, n));
-}
-
-std::vector<float> voxel_grid(const float* points, std::size_t n, double size,
-                              const Bounds& bounds) {
-  const CellNumbers numbers = numbered(n, size, bounds);
+  const CellNumbers numbers = numbered(points, n, size);
   const Raw<RunSum> sums = raw<RunSum>(n);
   const Runs runs = find_runs(points, n, numbers, sums.get());
   std::vector<float> means(3 * runs.count);

@@ -53,9 +53,6 @@ std::vector<std::uint8_t> odd_cells(const float* values, std::size_t count, doub
 
 // The mean point of every occupied cell in the order of the keys, (m, 3) row-major.
 std::vector<float> voxel_grid(const float* points, std::size_t n, double size);
-// The same where bounds of the points are known.
-std::vector<float> voxel_grid(const float* points, std::size_t n, double size,
-                              const Bounds& bounds);
 
 // Stable sort of (key, value) pairs by key, by radix; `bits` is the width of the largest key.
 void radix_sort(std::vector<std::uint64_t>& keys, std::vector<std::uint32_t>& values, int bits);

@@ -57,9 +57,7 @@ std::vector<float> thinned_near(const float* points, std::size_t n, const FlatOp
     limit = std::max(usual, std::min(wide, kFarthest * kFarthest * usual));
     size = pack_near(points, n, limit, far, near.get(), beyond);
   }
-  const double reach = std::sqrt(limit) * (1.0 + 1e-6);  // for rounding
-  const Bounds bounds = {{-reach, -reach, -reach}, {reach, reach, reach}};
-  return voxel_grid(near.get(), size / 3, options.voxel_size, bounds);
+  return voxel_grid(near.get(), size / 3, options.voxel_size);
 }
 
 // Of the directions, the first that most normals agree with.

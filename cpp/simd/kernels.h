@@ -245,6 +245,9 @@ struct Kernels {
   void (*extent)(const float* values, size_t runs, float* low, float* high);
   // floor(values / size), all of which are below 2^30.
   void (*cell_numbers)(const float* values, size_t count, double size, int32_t* cells);
+  // x + stride_y y + stride_z z - base of each cell, whose last 32 bits are all there is.
+  void (*cell_keys)(const int32_t* cells, size_t count, uint32_t stride_y, uint32_t stride_z,
+                    uint32_t base, uint64_t* keys);
   // Writes the points in [begin, end) within the distance of a place, squared, and returns how
   // many. Up to 15 values behind them may be written.
   size_t (*near_points)(const PointArrays& points, const float* place, float distance2,
