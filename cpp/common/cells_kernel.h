@@ -49,8 +49,8 @@ void cell_numbers(const float* values, size_t count, double size, int32_t* cells
   }
 }
 
-void cell_keys(const int32_t* __restrict cells, size_t count, uint32_t stride_y,
-               uint32_t stride_z, uint32_t base, uint64_t* __restrict keys) {
+void cell_keys(const int32_t* __restrict cells, size_t count, uint32_t stride_y, uint32_t stride_z,
+               uint32_t base, uint64_t* __restrict keys) {
   for (size_t i = 0; i < count; ++i) {
     const auto x = static_cast<uint32_t>(cells[3 * i]);
     const auto y = static_cast<uint32_t>(cells[3 * i + 1]);

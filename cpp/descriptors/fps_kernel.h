@@ -126,8 +126,8 @@ inline void sample(const FpsCloud* clouds, size_t most) {
   }
 }
 
-// The points of a cloud in cells along a curve, so that those in a row are near each other. Cells are
-// halved along their longest side.
+// The points of a cloud in cells along a curve, so that those in a row are near each other. Cells
+// are halved along their longest side.
 class SpatialOrder {
  public:
   static constexpr size_t kHalvings = 9, kCells = size_t{1} << kHalvings;

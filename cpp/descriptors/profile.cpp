@@ -118,8 +118,8 @@ class Batch {
       for (const SliceLanes& sums : layers) {
         const Slice s(sums, lane);
         const std::array<float, 7> numbers = {
-            s.count / total,     s.mean[0],          s.mean[1],
-            std::abs(s.mean[0]), std::abs(s.mean[1]), log_length(s.spread[0]),
+            s.count / total,        s.mean[0],           s.mean[1],
+            std::abs(s.mean[0]),    std::abs(s.mean[1]), log_length(s.spread[0]),
             log_length(s.spread[1])};
         to = std::copy(numbers.begin(), numbers.end(), to);
       }
@@ -133,8 +133,9 @@ class Batch {
       float* to = out(lane) + kSlices + 7 * kLayers;
       for (const SliceLanes& sums : sections) {
         const Slice s(sums, lane);
-        const std::array<float, 6> numbers = {s.count / total, s.mean[0],   s.mean[1],
-                                              s.spread[0],     s.spread[1], s.count > 0 ? s.top : 0.0f};
+        const std::array<float, 6> numbers = {s.count / total, s.mean[0],
+                                              s.mean[1],       s.spread[0],
+                                              s.spread[1],     s.count > 0 ? s.top : 0.0f};
         to = std::copy(numbers.begin(), numbers.end(), to);
       }
     }

@@ -91,8 +91,7 @@ void axis_statistics(const float* rows, size_t count, AxisLanes& axis) {
   }
 }
 
-void pair_distances(const float* const* xyz, size_t count, float* space, float* flat,
-                    float* rise) {
+void pair_distances(const float* const* xyz, size_t count, float* space, float* flat, float* rise) {
   for (size_t i = 0; i < count; ++i) {
     for (size_t j = 0; j < i; ++j) {
       const float *ax = xyz[0] + kSortLanes * i, *bx = xyz[0] + kSortLanes * j;

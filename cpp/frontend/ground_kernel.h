@@ -24,8 +24,7 @@ inline void cells_of_points(const float* points, size_t count, const GroundLatti
   }
 }
 
-void ground_cells(const float* points, size_t count, const GroundLattice& lattice,
-                  int32_t* cells) {
+void ground_cells(const float* points, size_t count, const GroundLattice& lattice, int32_t* cells) {
   const double edge = lattice.edge, inverse = 1.0 / edge;
   if (lattice.is_power) {
     cells_of_points(points, count, lattice, [=](double v) { return v * inverse; }, cells);
@@ -63,8 +62,8 @@ inline void place_between(const float* points, size_t count, const GroundLattice
   }
 }
 
-void ground_heights(const float* points, size_t count, const GroundLattice& lattice,
-                    const float* z, float* heights) {
+void ground_heights(const float* points, size_t count, const GroundLattice& lattice, const float* z,
+                    float* heights) {
   const double edge = lattice.edge, inverse = 1.0 / edge;
   Between between;
   float corners[4][Between::kPoints];
@@ -83,10 +82,10 @@ void ground_heights(const float* points, size_t count, const GroundLattice& latt
     }
     for (size_t i = 0; i < size; ++i) {  // bilinear
       const double u = between.u[i], v = between.v[i];
-      const double near = (1.0 - u) * static_cast<double>(corners[0][i]) +
-                          u * static_cast<double>(corners[1][i]);
-      const double far = (1.0 - u) * static_cast<double>(corners[2][i]) +
-                         u * static_cast<double>(corners[3][i]);
+      const double near =
+          (1.0 - u) * static_cast<double>(corners[0][i]) + u * static_cast<double>(corners[1][i]);
+      const double far =
+          (1.0 - u) * static_cast<double>(corners[2][i]) + u * static_cast<double>(corners[3][i]);
       const auto ground = static_cast<float>((1.0 - v) * near + v * far);
       heights[begin + i] = p[3 * i + 2] - ground;
     }

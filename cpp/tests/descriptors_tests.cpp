@@ -64,8 +64,8 @@ void lanes_agree(Isa isa) {
   }
   CHECK(std::memcmp(axes, expected, sizeof(axes)) == 0);
   const std::vector<float> span(kSortLanes, 8.0f);
-  const SliceTask task = {xyz[2],   {xyz[0], xyz[1]}, axes[2].low, span.data(),
-                          {axes[0].mean, axes[1].mean}, kCount,      8};
+  const SliceTask task = {
+      xyz[2], {xyz[0], xyz[1]}, axes[2].low, span.data(), {axes[0].mean, axes[1].mean}, kCount, 8};
   std::vector<float> numbers(kCount * kSortLanes);
   SliceLanes sums[8], expected_sums[8];
   k.slice_sums(task, numbers.data(), sums);
