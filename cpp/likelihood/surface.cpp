@@ -39,8 +39,8 @@ Surface::Normal unpacked(std::uint64_t bits) {
 }  // namespace
 
 Surface::Surface(const float* points, std::size_t n, double max_correspondence_distance,
-                 double support)
-    : grid_(points, n, std::max(max_correspondence_distance, support)),
+                 double support, std::vector<std::uint32_t>* rows)
+    : grid_(points, n, std::max(max_correspondence_distance, support), 0, rows),
       max_correspondence_distance_(max_correspondence_distance),
       support_(support),
       normals_(static_cast<std::atomic<std::uint64_t>*>(

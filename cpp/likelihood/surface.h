@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
+#include <vector>
 
 #include "common/rigid.h"
 #include "frontend/point_grid.h"
@@ -29,7 +30,9 @@ class Surface {
 
   // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
   // metres away; the points within `support` metres of one decide on its normal.
-  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support);
+  // `rows` receives the row of each in the input.
+  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support,
+          std::vector<std::uint32_t>* rows = nullptr);
 
   std::size_t size() const { return grid_.size(); }
   const PointGrid& grid() const { return grid_; }

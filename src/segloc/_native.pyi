@@ -135,12 +135,15 @@ class VisibilityCheck:
         margin: float,
     ) -> tuple[int, int]: ...
 
+def normals(
+    points: NDArray[np.float32], max_correspondence_distance: float, support: float
+) -> NDArray[np.float64]: ...
+
 class Surface:
     def __init__(
         self, points: NDArray[np.float32], max_correspondence_distance: float, support: float
     ) -> None: ...
     def __len__(self) -> int: ...
-    def normals(self) -> NDArray[np.float64]: ...
     def on_plane(
         self,
         source: Surface,
