@@ -48,7 +48,7 @@ auto normals_(const In2<float>& points, double max_correspondence_distance, doub
   {
     nb::gil_scoped_release release;
     std::vector<std::uint32_t> rows;
-    const Surface surface(points.data(), n, max_correspondence_distance, support, &rows);
+    const Surface surface(points.data(), n, max_correspondence_distance, support, false, &rows);
     for (std::size_t i = 0; i < n; ++i) {
       const Surface::Normal normal = surface.normal(i);
       std::copy(normal.begin(), normal.end(), values.begin() + std::ptrdiff_t(3 * rows[i]));
@@ -80,13 +80,14 @@ void bind_registration(nb::module_& m) {
       .def(
           "__init__",
           [](Surface* self, const In2<float>& points, double max_correspondence_distance,
-             double support) {
+             double support, bool tiled) {
             require_surface(points, max_correspondence_distance, support);
             nb::gil_scoped_release release;
-            new (self)
-                Surface(points.data(), points.shape(0), max_correspondence_distance, support);
+            new (self) Surface(points.data(), points.shape(0), max_correspondence_distance, support,
+                               tiled);
           },
-          nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"))
+          nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"),
+          nb::arg("tiled") = false)
       .def("__len__", &Surface::size)
       .def("on_plane", &on_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("tolerance"), nb::arg("most"))

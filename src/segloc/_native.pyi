@@ -1,4 +1,5 @@
 from collections.abc import Mapping, Sequence
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +142,11 @@ def normals(
 
 class Surface:
     def __init__(
-        self, points: NDArray[np.float32], max_correspondence_distance: float, support: float
+        self,
+        points: NDArray[np.float32],
+        max_correspondence_distance: float,
+        support: float,
+        tiled: bool = False,
     ) -> None: ...
     def __len__(self) -> int: ...
     def on_plane(
@@ -276,8 +281,19 @@ def knn(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
 
 class DescriptorIndex:
+    @overload
     def __init__(
         self, database: NDArray[np.float32], lists: int, threads: int = 0, isa: str = "auto"
+    ) -> None: ...
+    @overload
+    def __init__(
+        self,
+        codes: NDArray[np.uint8],
+        base: NDArray[np.float32],
+        step: NDArray[np.float32],
+        lists: int,
+        threads: int = 0,
+        isa: str = "auto",
     ) -> None: ...
     def search(
         self, queries: NDArray[np.float32], k: int, probes: int, threads: int = 0

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import SeglocError
 from ..types import Float32, Float64, Int64
+from .coding import Stored
 from .contents import MAX_VOXELS, relative_fault
 
 _BITS = MAX_VOXELS.bit_length() - 1
@@ -25,7 +26,7 @@ class VoxelCloud:
 
     Parameters
     ----------
-    points : (N, 3) float32
+    points : (N, 3) float32, or Stored
         Relative to ``origin``; thinned if necessary.
     origin : (3,) float64
         In the map frame.
@@ -33,10 +34,10 @@ class VoxelCloud:
         Edge length [m].
     """
 
-    def __init__(self, points: Float32, origin: Float64, voxel: float) -> None:
+    def __init__(self, points: Float32 | Stored, origin: Float64, voxel: float) -> None:
         self.origin = origin
         self.voxel = voxel
-        self._thinned: Float32 = points
+        self._thinned = points
         self._pending: list[Float32] = []
         self._pending_count = 0
 
@@ -69,7 +70,22 @@ class VoxelCloud:
     def points(self) -> Float32:
         """The (N, 3) float32 points relative to the origin, ordered by voxel."""
         self._consolidate()
-        return self._thinned
+        return self._array
+
+    def __len__(self) -> int:
+        self._consolidate()
+        return len(self._thinned)
+
+    @property
+    def nbytes(self) -> int:
+        """Size in memory, without what is unpacked on use."""
+        self._consolidate()
+        return self._thinned.nbytes
+
+    @property
+    def _array(self) -> Float32:
+        thinned = self._thinned
+        return thinned.array() if isinstance(thinned, Stored) else thinned
 
     def moved_to(self, origin: Float64, voxel: float) -> VoxelCloud:
         """Return the points relative to another origin, on another grid."""
@@ -81,7 +97,7 @@ class VoxelCloud:
 
     def _consolidate(self) -> None:
         if self._pending:
-            together = np.concatenate([self._thinned, *self._pending])
+            together = np.concatenate([self._array, *self._pending])
             self._thinned = thin(together, self.origin, self.voxel)
             self._pending, self._pending_count = [], 0
 
