@@ -19,10 +19,12 @@ namespace segloc {
 namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
-const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
-                        &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,      &knn_scan_codes,
-                         &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                         &add_slices,     &cell_numbers, &near_points, &sort_lanes};
+const Kernels kTable = {Isa::SEGLOC_ISA,  kWidth,           kBlock,           kPanel,
+                        &fps,             &neighbors,       &xconv,           &dense,
+                        &conv,            &knn_scan,        &knn_scan_codes,  &box_bounds,
+                        &near_pose,       &like_edges,      kTraining,        &vote_cells,
+                        &full_windows,    &add_slices,      &cell_numbers,    &near_points,
+                        &sort_lanes};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

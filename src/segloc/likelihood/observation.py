@@ -251,7 +251,9 @@ class MapCloud:
         self.storeyed, self._path = storeyed, path - origin
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
-        self._target = Target(self._aligner.surface(cloud, target=True), index, config.unmapped_overlap)
+        self._target = Target(
+            self._aligner.surface(cloud, target=True), index, config.unmapped_overlap
+        )
         self._nearby = NearbySearch(index, config.nearby, separation)
         self._compared = ComparedMap(self._target, close_surface(cloud, target=True), self._path)
 

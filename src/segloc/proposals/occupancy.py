@@ -95,7 +95,7 @@ class OccupancyProposer:
 
     Notes
     -----
-    The first query builds the grid of the map in 0.1 to 1 s: about 7 MB per kilometre of street. A
+    The first query builds the grid of the map in 0.1 to 1 s: about 8 MB per kilometre of street. A
     map too wide for the grid has no candidates. Each storey of a building is searched separately.
     """
 
@@ -425,7 +425,7 @@ def ground_of(
         floor = path[station, 2] - _sensor_height(cloud, path)
         ground = plausible_ground(ground, floor[which], distance[which])
     sums = np.bincount(which, weights=ground, minlength=len(first))
-    means = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
+    means: Float64 = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
     return Ground(where, means), ground.astype(np.float32)
 
 

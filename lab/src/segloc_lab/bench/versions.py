@@ -243,7 +243,7 @@ def main() -> None:
     found = in_turns(pythons, "query", queries, options.repeats, prior_map)
     rows.extend(rows_of(f"query, {len(prior_map)} segments", found))
     drive, sessions, stream = drives(options.data)
-    streamed = MemoryRecording(stream.scans, [scan.T_odom_sensor for scan in stream.scans])
+    streamed = MemoryRecording(stream.scans)
     for name, work, given, place in (
         (f"{len(drive)} scans", "build", [drive], None),
         (f"2 sessions of {_ALIGNED_M:.0f} m", "align", sessions, None),
