@@ -32,24 +32,45 @@ nb::tuple knn(In2<float> queries, In2<float> database, std::size_t k, int thread
                         to_numpy(std::move(distances), {Q, columns}));
 }
 
-// An index and the array that it reads.
+// An index and the arrays that it reads.
 struct BoundIndex {
   BoundIndex(In2<float> rows, std::size_t lists, int threads, const std::string& isa)
-      : database(rows),
-        index(rows.data(), rows.shape(0), rows.shape(1), lists, parse_isa(isa), threads) {}
+      : arrays(nb::make_tuple(rows)),
+        index(DescriptorRows(rows.data(), rows.shape(0), rows.shape(1)), lists, parse_isa(isa),
+              threads) {}
+  BoundIndex(In2<std::uint8_t> codes, In1<float> base, In1<float> step, std::size_t lists,
+             int threads, const std::string& isa)
+      : arrays(nb::make_tuple(codes, base, step)),
+        index(DescriptorRows(codes.data(), base.data(), step.data(), codes.shape(0),
+                             codes.shape(1)),
+              lists, parse_isa(isa), threads) {}
 
-  In2<float> database;
+  nb::tuple arrays;
   DescriptorIndex index;
 };
 
+void require_database(std::size_t rows, std::size_t columns, std::size_t lists) {
+  require(columns > 0, "descriptors must have at least one column");
+  require_columns(columns, "database");
+  require(lists > 0, "lists: there must be at least one list");
+  require(rows < (std::size_t{1} << 31), "the database is too large");
+}
+
 void construct_index(BoundIndex* self, In2<float> database, std::size_t lists, int threads,
                      const std::string& isa) {
-  require(database.shape(1) > 0, "descriptors must have at least one column");
-  require_columns(database.shape(1), "database");
-  require(lists > 0, "lists: there must be at least one list");
-  require(database.shape(0) < (std::size_t{1} << 31), "the database is too large");
+  require_database(database.shape(0), database.shape(1), lists);
   require_usable(database.data(), database.size(), "database");
   new (self) BoundIndex(database, lists, threads, isa);
+}
+
+void construct_coded(BoundIndex* self, In2<std::uint8_t> codes, In1<float> base, In1<float> step,
+                     std::size_t lists, int threads, const std::string& isa) {
+  require_database(codes.shape(0), codes.shape(1), lists);
+  require(base.size() == codes.shape(1) && step.size() == codes.shape(1),
+          "base and step must have one number per column");
+  require_usable(base.data(), base.size(), "base");
+  require_usable(step.data(), step.size(), "step");
+  new (self) BoundIndex(codes, base, step, lists, threads, isa);
 }
 
 nb::tuple search(const BoundIndex& bound, In2<float> queries, std::size_t k, std::size_t probes,
@@ -165,6 +186,8 @@ void bind_matching(nb::module_& m) {
   nb::class_<BoundIndex>(m, "DescriptorIndex")
       .def("__init__", &construct_index, "database"_a.noconvert(), "lists"_a, "threads"_a = 0,
            "isa"_a = "auto")
+      .def("__init__", &construct_coded, "codes"_a.noconvert(), "base"_a.noconvert(),
+           "step"_a.noconvert(), "lists"_a, "threads"_a = 0, "isa"_a = "auto")
       .def("search", &search, "queries"_a.noconvert(), "k"_a, "probes"_a, "threads"_a = 0)
       .def("__len__", [](const BoundIndex& bound) { return bound.index.size(); })
       .def_prop_ro("lists", [](const BoundIndex& bound) { return bound.index.lists(); });

@@ -32,14 +32,29 @@ auto align_(const Surface& target, const Surface& source, const In2<double>& T_t
                          result.error, result.inliers, result.iterations);
 }
 
-auto normals_(const Surface& surface) {
-  std::vector<double> values(3 * surface.size());
-  for (std::size_t i = 0; i < surface.size(); ++i) {
-    const Surface::Normal normal = surface.normal(i);
-    std::copy(normal.begin(), normal.end(),
-              values.begin() + std::ptrdiff_t(3 * surface.grid().original(i)));
+void require_surface(const In2<float>& points, double max_correspondence_distance,
+                     double support) {
+  require_points(points);
+  require_usable(points.data(), points.size(), "points");
+  require_length(max_correspondence_distance, "max_correspondence_distance");
+  require_length(support, "support");
+}
+
+// Normals of a surface in the order of its points.
+auto normals_(const In2<float>& points, double max_correspondence_distance, double support) {
+  require_surface(points, max_correspondence_distance, support);
+  const std::size_t n = points.shape(0);
+  std::vector<double> values(3 * n);
+  {
+    nb::gil_scoped_release release;
+    std::vector<std::uint32_t> rows;
+    const Surface surface(points.data(), n, max_correspondence_distance, support, false, &rows);
+    for (std::size_t i = 0; i < n; ++i) {
+      const Surface::Normal normal = surface.normal(i);
+      std::copy(normal.begin(), normal.end(), values.begin() + std::ptrdiff_t(3 * rows[i]));
+    }
   }
-  return to_numpy(std::move(values), {surface.size(), 3});
+  return to_numpy(std::move(values), {n, 3});
 }
 
 // Counts among at most `most` source points, evenly spread.
@@ -59,22 +74,21 @@ auto on_plane_(const Surface& target, const Surface& source, const In2<double>& 
 }  // namespace
 
 void bind_registration(nb::module_& m) {
+  m.def("normals", &normals_, nb::arg("points").noconvert(),
+        nb::arg("max_correspondence_distance"), nb::arg("support"));
   nb::class_<Surface>(m, "Surface")
       .def(
           "__init__",
           [](Surface* self, const In2<float>& points, double max_correspondence_distance,
-             double support) {
-            require_points(points);
-            require_usable(points.data(), points.size(), "points");
-            require_length(max_correspondence_distance, "max_correspondence_distance");
-            require_length(support, "support");
+             double support, bool tiled) {
+            require_surface(points, max_correspondence_distance, support);
             nb::gil_scoped_release release;
-            new (self)
-                Surface(points.data(), points.shape(0), max_correspondence_distance, support);
+            new (self) Surface(points.data(), points.shape(0), max_correspondence_distance, support,
+                               tiled);
           },
-          nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"))
+          nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"),
+          nb::arg("tiled") = false)
       .def("__len__", &Surface::size)
-      .def("normals", &normals_)
       .def("on_plane", &on_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("tolerance"), nb::arg("most"))
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),

@@ -5,6 +5,7 @@
 #include "frontend/ground.h"
 #include "frontend/gravity.h"
 #include "frontend/spacing.h"
+#include "frontend/thinning.h"
 
 namespace segloc::bindings {
 namespace {
@@ -22,6 +23,25 @@ Out<float> voxel_grid_(const In2<float>& points, double size) {
   }
   const std::size_t count = means.size() / 3;
   return to_numpy(std::move(means), {count, 3});
+}
+
+Out<float> central_points_(const In2<float>& points, const In1<double>& origin, double voxel) {
+  require_points(points);
+  require(origin.size() == 3, "origin must have shape (3,)");
+  require_length(voxel, "voxel");
+  require_usable(origin.data(), 3, "origin");
+  std::vector<float> kept;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    const auto rows = central_points(points.data(), points.shape(0), origin.data(), voxel);
+    kept.reserve(3 * rows.size());
+    for (const std::size_t row : rows) {
+      kept.insert(kept.end(), points.data() + 3 * row, points.data() + 3 * row + 3);
+    }
+  }
+  const std::size_t count = kept.size() / 3;
+  return to_numpy(std::move(kept), {count, 3});
 }
 
 Out<float> heights_above_ground_(const In2<float>& points, double cell, double max_slope,
@@ -141,6 +161,8 @@ double point_spacing_(const In2<float>& points, double least, std::size_t most) 
 }  // namespace
 
 void bind_segmentation(nb::module_& m) {
+  m.def("central_points", &central_points_, nb::arg("points").noconvert(),
+        nb::arg("origin").noconvert(), nb::arg("voxel"));
   m.def("voxel_grid", &voxel_grid_, nb::arg("points").noconvert(), nb::arg("size"));
   m.def("heights_above_ground", &heights_above_ground_, nb::arg("points").noconvert(),
         nb::arg("cell"), nb::arg("max_slope"), nb::arg("outlier"));

@@ -42,11 +42,13 @@ struct Place {
 }  // namespace
 
 // Cells twice as wide as the radius: a neighbourhood touches eight of them at most.
-PointGrid::PointGrid(const float* points, std::size_t n, double radius)
+PointGrid::PointGrid(const float* points, std::size_t n, double radius, std::int64_t tile_cells,
+                     std::vector<std::uint32_t>* rows)
     : cell_(2.0 * radius), per_metre_(1.0 / cell_) {
-  const CellRuns sorted = sort_into_runs(points, n, cell_);
+  CellRuns sorted = sort_into_runs(points, n, cell_);
+  if (tile_cells > 0) sort_by_tile(sorted, points, static_cast<double>(tile_cells) * cell_);
   for (std::vector<float>* each : {&x_, &y_, &z_}) each->resize(n + kPad, kInfinity);
-  original_.reserve(n);
+  if (rows) rows->resize(n);
   std::vector<Range> found;
   std::uint32_t row = 0;
   const auto too_far = static_cast<float>(cell_ * double(kAxis - 2));
@@ -58,12 +60,37 @@ PointGrid::PointGrid(const float* points, std::size_t n, double radius)
       const float* p = points + 3 * static_cast<std::size_t>(i);
       for (int a = 0; a < 3; ++a) wide |= std::abs(p[a]) >= too_far;
       x_[row] = p[0], y_[row] = p[1], z_[row] = p[2];
-      original_.push_back(i);
+      if (rows) (*rows)[row] = i;
     }
     found.back().end = row;
   }
   if (wide) throw std::invalid_argument("cloud too wide");
   fill(found);
+}
+
+void PointGrid::sort_by_tile(CellRuns& sorted, const float* points, double tile) {
+  struct Group {  // of the runs of a cell
+    std::int64_t y, x;
+    std::size_t begin, end;
+  };
+  std::vector<Group> groups;
+  for (std::size_t k = 0; k < sorted.runs.size(); ++k) {
+    const CellRun& run = sorted.runs[k];
+    if (k == 0 || run.key != sorted.runs[k - 1].key) {
+      const float* p = points + 3 * static_cast<std::size_t>(run.begin);
+      groups.push_back({floor_of(p[1] / tile), floor_of(p[0] / tile), k, k});
+    }
+    groups.back().end = k + 1;
+  }
+  std::stable_sort(groups.begin(), groups.end(), [](const Group& a, const Group& b) {
+    return a.y != b.y ? a.y < b.y : a.x < b.x;
+  });
+  std::vector<CellRun> runs;
+  runs.reserve(sorted.runs.size());
+  for (const Group& group : groups) {
+    for (std::size_t k = group.begin; k < group.end; ++k) runs.push_back(sorted.runs[k]);
+  }
+  sorted.runs.swap(runs);
 }
 
 void PointGrid::fill(const std::vector<Range>& found) {

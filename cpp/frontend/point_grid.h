@@ -15,16 +15,18 @@ class PointGrid {
  public:
   using Point = std::array<float, 3>;
 
-  // Copies n points, (n, 3) row-major, and sorts them by cell. Queries take any radius up to
+  // Copies n points, (n, 3) row-major, and sorts them by cell, within square tiles of the plane of
+  // `tile_cells` cells a side, by y and x, if that is positive. Queries take any radius up to
   // `radius`. Throws std::invalid_argument where the points lie too far apart for that radius.
-  PointGrid(const float* points, std::size_t n, double radius);
+  // `rows` receives the row of each in the input.
+  PointGrid(const float* points, std::size_t n, double radius, std::int64_t tile_cells = 0,
+            std::vector<std::uint32_t>* rows = nullptr);
 
-  std::size_t size() const { return original_.size(); }
+  std::size_t size() const { return x_.size() - kPad; }
   double radius() const { return cell_ / 2; }
   Point operator[](std::size_t i) const {
     return {x_[i], y_[i], z_[i]};
   }  // in the grid's own order
-  std::size_t original(std::size_t i) const { return original_[i]; }  // its row in the input
 
   // Calls visit(i, squared distance) for points around p: all those within `radius`, and others.
   template <typename Visit>
@@ -89,6 +91,8 @@ class PointGrid {
     return slot;
   }
 
+  // Runs of points, those of each cell together.
+  static void sort_by_tile(CellRuns& sorted, const float* points, double tile);
   void fill(const std::vector<Range>& found);
 
   // The cells of a neighbourhood, whose blocks are looked for once.
@@ -135,7 +139,6 @@ class PointGrid {
   double cell_, per_metre_;
   std::vector<float> x_, y_,
       z_;  // with infinite ones at the end, so that vectors may be read there
-  std::vector<std::uint32_t> original_;
   std::vector<Block> table_;  // open addressing
   std::vector<Range> ranges_;
 };

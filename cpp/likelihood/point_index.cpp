@@ -2,59 +2,60 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <utility>
 
 namespace segloc {
 namespace {
 
-constexpr double kTile = 20.0;      // metres
-constexpr std::size_t kBlock = 32;  // points
+constexpr double kTile = 20.0;      // metres, about
+constexpr std::uint32_t kBlock = 32;  // points
+constexpr double kSlack = 1e-6;     // share of a tile by which rounding may move a point
 
-std::int64_t tile_of(double v) { return static_cast<std::int64_t>(std::floor(v / kTile)); }
+std::int64_t cells_of_tile(double radius) {
+  return std::max<std::int64_t>(1, std::llround(kTile / (2.0 * radius)));
+}
 
 }  // namespace
 
 PointIndex::PointIndex(const float* points, std::size_t n, double radius)
-    : grid_(points, n, radius), height_(points, n) {
+    : tile_(static_cast<double>(cells_of_tile(radius)) * 2.0 * radius),
+      grid_(points, n, radius, cells_of_tile(radius)),
+      height_(points, n) {
   fill_tiles();
 }
 
 void PointIndex::fill_tiles() {
-  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<std::uint32_t>> tiles;
-  auto last = tiles.end();  // points come cell by cell: most lie in the tile of the one before
-  for (std::size_t i = 0; i < grid_.size(); ++i) {
-    const std::pair at{tile_of(grid_[i][1]), tile_of(grid_[i][0])};
-    if (last == tiles.end() || last->first != at) last = tiles.try_emplace(at).first;
-    last->second.push_back(static_cast<std::uint32_t>(i));
-  }
-  for (const auto& [at, points] : tiles) {
-    const std::size_t begin = points_.size();
-    for (const std::uint32_t i : points) {
-      points_.push_back(i);
-      x_of_.push_back(grid_[i][0]);
-      y_of_.push_back(grid_[i][1]);
-      z_of_.push_back(grid_[i][2]);
-    }
+  const auto n = static_cast<std::uint32_t>(grid_.size());
+  blocks_.reserve(n / kBlock);
+  const auto place = [&](std::uint32_t i) {
+    const PointGrid::Point p = grid_[i];
+    return std::pair{tile_of(p[1]), tile_of(p[0])};
+  };
+  for (std::uint32_t begin = 0, end = 0; begin < n; begin = end) {
+    const auto at = place(begin);
+    while (end < n && place(end) == at) ++end;
     tiles_.push_back({at.first, at.second, 0, 0});
-    fill_blocks(tiles_.back(), begin);
+    fill_blocks(tiles_.back(), begin, end);
   }
 }
 
-void PointIndex::fill_blocks(Tile& tile, std::size_t begin) {
-  tile.first_block = blocks_.size();
-  for (; begin < points_.size(); begin += kBlock) {
-    const std::size_t end = std::min(begin + kBlock, points_.size());
-    const auto range = [&](const std::vector<float>& of) {
-      return std::minmax_element(of.begin() + static_cast<std::ptrdiff_t>(begin),
-                                 of.begin() + static_cast<std::ptrdiff_t>(end));
-    };
-    const auto [low_x, high_x] = range(x_of_);
-    const auto [low_y, high_y] = range(y_of_);
-    const auto [low_z, high_z] = range(z_of_);
-    blocks_.push_back({begin, end, *low_x, *high_x, *low_y, *high_y, *low_z, *high_z});
+void PointIndex::fill_blocks(Tile& tile, std::uint32_t begin, std::uint32_t last) {
+  tile.first_block = static_cast<std::uint32_t>(blocks_.size());
+  for (; begin < last; begin += kBlock) {
+    const PointGrid::Point first = grid_[begin];
+    Block block{begin, std::min(begin + kBlock, last), {}, {}};
+    std::copy(first.begin(), first.end(), block.low);
+    std::copy(first.begin(), first.end(), block.high);
+    for (std::uint32_t i = begin; i < block.end; ++i) {
+      const PointGrid::Point p = grid_[i];
+      for (int a = 0; a < 3; ++a) {
+        block.low[a] = std::min(block.low[a], p[a]);
+        block.high[a] = std::max(block.high[a], p[a]);
+      }
+    }
+    blocks_.push_back(block);
   }
-  tile.last_block = blocks_.size();
+  tile.last_block = static_cast<std::uint32_t>(blocks_.size());
 }
 
 PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, const double* T,
@@ -83,21 +84,24 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
 // What the nearest and the farthest place of a block are decides for all in it: no point is rounded
 // to be nearer or farther than those.
 PointIndex::Part PointIndex::part_of(const Block& block, const Column& column) const {
-  const double near_x = std::clamp(column.x, block.low_x, block.high_x);
-  const double near_y = std::clamp(column.y, block.low_y, block.high_y);
-  const double level = std::clamp(column.low, block.low_z, block.high_z);
-  if (!column.holds(near_x, near_y, level)) return {&block, 0};
-  const auto farther = [](double at, double low, double high) {
+  const auto nearer = [&](double at, int axis) {
+    return std::clamp<double>(at, block.low[axis], block.high[axis]);
+  };
+  const auto farther = [&](double at, int axis) {
+    const double low = block.low[axis], high = block.high[axis];
     return std::abs(low - at) > std::abs(high - at) ? low : high;
   };
-  const double far_x = farther(column.x, block.low_x, block.high_x);
-  const double far_y = farther(column.y, block.low_y, block.high_y);
-  if (column.holds(far_x, far_y, block.low_z) && column.holds(far_x, far_y, block.high_z)) {
+  if (!column.holds(nearer(column.x, 0), nearer(column.y, 1), nearer(column.low, 2))) {
+    return {&block, 0};
+  }
+  const double far_x = farther(column.x, 0), far_y = farther(column.y, 1);
+  if (column.holds(far_x, far_y, block.low[2]) && column.holds(far_x, far_y, block.high[2])) {
     return {&block, block.end - block.begin};
   }
   std::size_t count = 0;
-  for (std::size_t k = block.begin; k < block.end; ++k) {
-    count += column.holds(x_of_[k], y_of_[k], z_of_[k]);
+  for (std::uint32_t k = block.begin; k < block.end; ++k) {
+    const PointGrid::Point p = grid_[k];
+    count += column.holds(p[0], p[1], p[2]);
   }
   return {&block, count};
 }
@@ -106,8 +110,9 @@ std::vector<PointIndex::Part> PointIndex::parts(const Column& column) const {
   std::vector<Part> found;
   const double x = column.x, y = column.y, radius = column.radius;
   if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
-  const std::int64_t first = tile_of(x - radius), last = tile_of(x + radius);
-  const std::int64_t bottom = tile_of(y - radius), top = tile_of(y + radius);
+  const double wide = radius + kSlack * tile_;
+  const std::int64_t first = tile_of(x - wide), last = tile_of(x + wide);
+  const std::int64_t bottom = tile_of(y - wide), top = tile_of(y + wide);
   const auto next = [&](auto from, std::int64_t row) {
     return std::lower_bound(
         from, tiles_.end(), std::make_pair(row, first),
@@ -136,10 +141,8 @@ std::vector<float> PointIndex::sample(const Column& column, std::size_t count) c
   if (all == 0) return {};
   const std::size_t step = (all - 1) / std::max<std::size_t>(1, count) + 1;
   std::vector<float> points;
-  each(found, column, step, [&](std::uint32_t i) {
-    const PointGrid::Point p = grid_[i];
-    points.insert(points.end(), p.begin(), p.end());
-  });
+  each(found, column, step,
+       [&](const PointGrid::Point& p) { points.insert(points.end(), p.begin(), p.end()); });
   return points;
 }
 

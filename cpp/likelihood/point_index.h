@@ -44,7 +44,7 @@ class PointIndex {
   template <typename Visit>
   void visit(double x, double y, double radius, Visit&& visit) const {
     const Column column{x, y, radius};
-    each(parts(column), column, 1, [&](std::uint32_t i) { visit(grid_[i]); });
+    each(parts(column), column, 1, visit);
   }
 
   // Whether any point is within a radius, no larger than that of the index.
@@ -60,12 +60,12 @@ class PointIndex {
  private:
   // Points of a tile that follow one another, and where they lie.
   struct Block {
-    std::size_t begin, end;
-    double low_x, high_x, low_y, high_y, low_z, high_z;
+    std::uint32_t begin, end;
+    float low[3], high[3];
   };
   struct Tile {
     std::int64_t y, x;
-    std::size_t first_block, last_block;
+    std::uint32_t first_block, last_block;
   };
   // A block and its number of points in a column.
   struct Part {
@@ -74,12 +74,13 @@ class PointIndex {
     bool is_whole() const { return count == block->end - block->begin; }
   };
 
+  std::int64_t tile_of(double v) const { return floor_of(v / tile_); }
   void fill_tiles();
-  void fill_blocks(Tile& tile, std::size_t begin);
+  void fill_blocks(Tile& tile, std::uint32_t begin, std::uint32_t end);
   Part part_of(const Block& block, const Column& column) const;
   // Those of which any do, in order.
   std::vector<Part> parts(const Column& column) const;
-  // Calls take(i) for every step-th of the points in a column, in the grid's order.
+  // Calls take(point) for every step-th of the points in a column, in the grid's order.
   template <typename Take>
   void each(const std::vector<Part>& parts, const Column& column, std::size_t step,
             const Take& take) const {
@@ -90,28 +91,28 @@ class PointIndex {
         continue;
       }
       if (part.is_whole()) {
-        for (; skip < part.count; skip += step) take(points_[part.block->begin + skip]);
+        for (; skip < part.count; skip += step) take(grid_[part.block->begin + skip]);
         skip -= part.count;
         continue;
       }
       for (std::size_t k = part.block->begin; k < part.block->end; ++k) {
-        if (!column.holds(x_of_[k], y_of_[k], z_of_[k])) continue;
+        const PointGrid::Point p = grid_[k];
+        if (!column.holds(p[0], p[1], p[2])) continue;
         if (skip > 0) {
           --skip;
           continue;
         }
-        take(points_[k]);
+        take(p);
         skip = step - 1;
       }
     }
   }
 
-  PointGrid grid_;
+  double tile_;     // metres, whole cells of the grid
+  PointGrid grid_;  // one tile after another
   ObservedHeight height_;
   std::vector<Tile> tiles_;  // of the plane, sorted by (y, x)
   std::vector<Block> blocks_;
-  std::vector<std::uint32_t> points_;      // of one tile after another
-  std::vector<float> x_of_, y_of_, z_of_;  // of those, to be read one after another
 };
 
 }  // namespace segloc

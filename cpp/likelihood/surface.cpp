@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <new>
+#include <memory>
 
 #include "common/principal_axes.h"
 
@@ -13,6 +13,7 @@ namespace {
 constexpr float kClose = 0.4f;      // share of the maximum distance that is searched first
 constexpr double kRounding = 1e-3;  // metres
 constexpr std::size_t kFewest = 4;  // points that can be off a plane
+constexpr std::int64_t kTileCells = 10;
 
 // Three signed steps of 21 bits and a bit that is set if they are valid.
 constexpr std::uint64_t kKnown = std::uint64_t{1} << 63;
@@ -39,13 +40,25 @@ Surface::Normal unpacked(std::uint64_t bits) {
 }  // namespace
 
 Surface::Surface(const float* points, std::size_t n, double max_correspondence_distance,
-                 double support)
-    : grid_(points, n, std::max(max_correspondence_distance, support)),
+                 double support, bool tiled, std::vector<std::uint32_t>* rows)
+    : grid_(points, n, std::max(max_correspondence_distance, support), tiled ? kTileCells : 0,
+            rows),
       max_correspondence_distance_(max_correspondence_distance),
       support_(support),
-      normals_(static_cast<std::atomic<std::uint64_t>*>(
-          std::calloc(std::max<std::size_t>(n, 1), sizeof(std::atomic<std::uint64_t>)))) {
-  if (!normals_) throw std::bad_alloc();
+      normals_(n) {}
+
+std::atomic<std::uint64_t>& Surface::Blocks::operator[](std::size_t i) {
+  std::atomic<Block*>& place = blocks_[i / kBlock];
+  Block* block = place.load(std::memory_order_acquire);
+  if (block == nullptr) {
+    auto fresh = std::make_unique<Block>();
+    for (std::atomic<std::uint64_t>& normal : *fresh) normal.store(0, std::memory_order_relaxed);
+    // Another thread may have been first: then its block stays.
+    if (place.compare_exchange_strong(block, fresh.get(), std::memory_order_acq_rel)) {
+      block = fresh.release();
+    }
+  }
+  return (*block)[i % kBlock];
 }
 
 // Most points have another close by: a small neighbourhood is searched first.
@@ -67,10 +80,11 @@ float Surface::room(const PointGrid::Point& p) const {
 }
 
 Surface::Normal Surface::normal(std::size_t i) const {
-  std::uint64_t bits = normals_[i].load(std::memory_order_relaxed);
+  std::atomic<std::uint64_t>& known = normals_[i];
+  std::uint64_t bits = known.load(std::memory_order_relaxed);
   if (bits == 0) {
     bits = packed(found(i));
-    normals_[i].store(bits, std::memory_order_relaxed);
+    known.store(bits, std::memory_order_relaxed);
   }
   return unpacked(bits);
 }

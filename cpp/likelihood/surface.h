@@ -5,8 +5,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
-#include <memory>
+#include <vector>
 
 #include "common/rigid.h"
 #include "frontend/point_grid.h"
@@ -28,8 +27,11 @@ class Surface {
   static constexpr std::uint32_t kNone = PointGrid::kNone;
 
   // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
-  // metres away; the points within `support` metres of one decide on its normal.
-  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support);
+  // metres away; the points within `support` metres of one decide on its normal. `tiled`: for
+  // targets, points of a tile of the plane follow one another, so that queries in a part of a map
+  // need the normals of few blocks. `rows` receives the row of each in the input.
+  Surface(const float* points, std::size_t n, double max_correspondence_distance, double support,
+          bool tiled = false, std::vector<std::uint32_t>* rows = nullptr);
 
   std::size_t size() const { return grid_.size(); }
   const PointGrid& grid() const { return grid_; }
@@ -46,11 +48,24 @@ class Surface {
 
   PointGrid grid_;
   double max_correspondence_distance_, support_;
-  struct Free {
-    void operator()(std::atomic<std::uint64_t>* values) const { std::free(values); }
+  // Packed normals of points that follow one another; 0: not yet found.
+  static constexpr std::size_t kBlock = 256;
+  using Block = std::array<std::atomic<std::uint64_t>, kBlock>;
+  // Blocks exist where a normal was asked for.
+  class Blocks {
+   public:
+    explicit Blocks(std::size_t points) : blocks_((points + kBlock - 1) / kBlock) {}
+    Blocks(const Blocks&) = delete;
+    Blocks& operator=(const Blocks&) = delete;
+    ~Blocks() {
+      for (const std::atomic<Block*>& block : blocks_) delete block.load();
+    }
+    std::atomic<std::uint64_t>& operator[](std::size_t i);
+
+   private:
+    std::vector<std::atomic<Block*>> blocks_;
   };
-  // Packed; 0: not yet found. Of a large map only the pages around queries take memory.
-  std::unique_ptr<std::atomic<std::uint64_t>[], Free> normals_;
+  mutable Blocks normals_;
 };
 
 struct Slope {  // limits of the vertical part of a unit normal

@@ -21,12 +21,37 @@ namespace segloc {
 namespace SEGLOC_ISA {
 
 extern const Kernels kTable;
-const Kernels kTable = {Isa::SEGLOC_ISA, kWidth,      kBlock,    kPanel,      &fps,
-                        &neighbors,      &xconv,      &dense,    &conv,       &knn_scan,
-                         &box_bounds,     &near_pose,      &like_edges, kTraining, &vote_cells, &full_windows,
-                         &add_slices,     &all_below, &extent, &cell_numbers, &cell_keys, &near_points, &ground_cells,
-                         &ground_heights, &count_like, &agreements, &sort_lanes,
-                         &axis_statistics, &pair_distances, &slice_sums};
+const Kernels kTable = {Isa::SEGLOC_ISA,
+                        kWidth,
+                        kBlock,
+                        kPanel,
+                        &fps,
+                        &neighbors,
+                        &xconv,
+                        &dense,
+                        &conv,
+                        &knn_scan,
+                        &knn_scan_codes,
+                        &box_bounds,
+                        &near_pose,
+                        &like_edges,
+                        kTraining,
+                        &vote_cells,
+                        &full_windows,
+                        &add_slices,
+                        &all_below,
+                        &extent,
+                        &cell_numbers,
+                        &cell_keys,
+                        &near_points,
+                        &ground_cells,
+                        &ground_heights,
+                        &count_like,
+                        &agreements,
+                        &sort_lanes,
+                        &axis_statistics,
+                        &pair_distances,
+                        &slice_sums};
 
 }  // namespace SEGLOC_ISA
 }  // namespace segloc

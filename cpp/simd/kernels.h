@@ -71,12 +71,19 @@ struct ConvTask {
 
 // Squared distances of up to 4 queries to a block of database points, fused with the selection.
 struct KnnScan {
+  uint32_t points;  // a bit for each of the block that is one
   const float* queries[4];
   float thresholds[4];
   // Appended to, for points with distance^2 <= threshold: their indices and distance^2.
   uint32_t* candidates[4];
   float* distances2[4];
   size_t counts[4];
+};
+
+// A block of coded database points: base + code * step along each dimension.
+struct KnnCodes {
+  const uint8_t* codes;
+  const float *base, *step;
 };
 
 // Boxes of blocks of descriptors: how many are measured together, and along how many axes.
@@ -217,6 +224,7 @@ struct Kernels {
                 float* output, size_t output_stride);
   void (*conv)(const ConvTask& task);
   void (*knn_scan)(const float* block, size_t dim, uint32_t first, KnnScan& scan);
+  void (*knn_scan_codes)(const KnnCodes& block, size_t dim, uint32_t first, KnnScan& scan);
   // Squared distances from a place to kBoxRun boxes: ends (kBoxAxes, 2, kBoxRun).
   void (*box_bounds)(const float* boxes, const float* place, float* bounds);
   // Writes the indices of the matches in [begin, end) that pass, and returns how many.

@@ -35,6 +35,10 @@ constexpr int kWidth = 16;
 constexpr int kRegisters = 32;
 
 inline Vec load(const float* p) { return _mm512_loadu_ps(p); }
+inline Vec load_bytes(const uint8_t* p) {
+  const __m128i bytes = _mm_loadu_si128(reinterpret_cast<const __m128i*>(p));
+  return _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(bytes));
+}
 inline void store(float* p, Vec a) { _mm512_storeu_ps(p, a); }
 inline void store_whole(int32_t* p, Vec a) { _mm512_storeu_si512(p, _mm512_cvtps_epi32(a)); }
 inline Vec broadcast(float a) { return _mm512_set1_ps(a); }
@@ -74,6 +78,10 @@ constexpr int kWidth = 8;
 constexpr int kRegisters = 16;
 
 inline Vec load(const float* p) { return _mm256_loadu_ps(p); }
+inline Vec load_bytes(const uint8_t* p) {
+  const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p));
+  return _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes));
+}
 inline void store(float* p, Vec a) { _mm256_storeu_ps(p, a); }
 inline void store_whole(int32_t* p, Vec a) {
   _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), _mm256_cvtps_epi32(a));
@@ -131,6 +139,19 @@ inline Vec load(const float* p) {
   copy_bytes(&a, p, sizeof(a));
   return a;
 }
+#if defined(__SSE2__)
+inline Vec load_bytes(const uint8_t* p) {
+  int32_t four;
+  copy_bytes(&four, p, sizeof(four));
+  const __m128i none = _mm_setzero_si128();
+  const __m128i halves = _mm_unpacklo_epi8(_mm_cvtsi32_si128(four), none);
+  return _mm_cvtepi32_ps(_mm_unpacklo_epi16(halves, none));
+}
+#else
+inline Vec load_bytes(const uint8_t* p) {
+  return SEGLOC_CONVERT((IntVec{p[0], p[1], p[2], p[3]}), Vec);
+}
+#endif
 inline void store(float* p, Vec a) { copy_bytes(p, &a, sizeof(a)); }
 inline void store_whole(int32_t* p, Vec a) {
   const IntVec whole = SEGLOC_CONVERT(a, IntVec);

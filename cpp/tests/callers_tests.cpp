@@ -88,7 +88,7 @@ class Shared {
                            queries_ = random_floats(kQueries * kDim, -1, 1, 10);
   const std::vector<int32_t> roots_ = {0}, feature_ = {0, 0, 0}, child_ = {1, -1, -1};
   const std::vector<float> threshold_ = {0.1f, 0.0f, 1.0f};
-  const DescriptorIndex index_{vectors_.data(), kRows, kDim, 20, instruction_sets().back(), 2};
+  const DescriptorIndex index_{DescriptorRows(vectors_.data(), kRows, kDim), 20, instruction_sets().back(), 2};
   const Forest forest_{{roots_.data(), 1, feature_.data(), threshold_.data(), child_.data(), 3},
                        PairLayout{1, true, 2}.features(kDim)};
   const Surface surface_{cloud_.data(), kPoints, 1.5, 1.6};

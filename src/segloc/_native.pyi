@@ -1,4 +1,5 @@
 from collections.abc import Mapping, Sequence
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +8,9 @@ __version__: str
 
 def resolve_threads(threads: int) -> int: ...
 def voxel_grid(points: NDArray[np.float32], size: float) -> NDArray[np.float32]: ...
+def central_points(
+    points: NDArray[np.float32], origin: NDArray[np.float64], voxel: float
+) -> NDArray[np.float32]: ...
 def heights_above_ground(
     points: NDArray[np.float32], cell: float, max_slope: float, outlier: float
 ) -> NDArray[np.float32]: ...
@@ -135,12 +139,19 @@ class VisibilityCheck:
         margin: float,
     ) -> tuple[int, int]: ...
 
+def normals(
+    points: NDArray[np.float32], max_correspondence_distance: float, support: float
+) -> NDArray[np.float64]: ...
+
 class Surface:
     def __init__(
-        self, points: NDArray[np.float32], max_correspondence_distance: float, support: float
+        self,
+        points: NDArray[np.float32],
+        max_correspondence_distance: float,
+        support: float,
+        tiled: bool = False,
     ) -> None: ...
     def __len__(self) -> int: ...
-    def normals(self) -> NDArray[np.float64]: ...
     def on_plane(
         self,
         source: Surface,
@@ -273,8 +284,19 @@ def knn(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]: ...
 
 class DescriptorIndex:
+    @overload
     def __init__(
         self, database: NDArray[np.float32], lists: int, threads: int = 0, isa: str = "auto"
+    ) -> None: ...
+    @overload
+    def __init__(
+        self,
+        codes: NDArray[np.uint8],
+        base: NDArray[np.float32],
+        step: NDArray[np.float32],
+        lists: int,
+        threads: int = 0,
+        isa: str = "auto",
     ) -> None: ...
     def search(
         self, queries: NDArray[np.float32], k: int, probes: int, threads: int = 0

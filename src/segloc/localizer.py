@@ -340,14 +340,12 @@ def _tiles(given: InTiles) -> InTiles:
 
 def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
     """Return the enabled proposers, in order of use."""
-    cloud, origin = prior_map.cloud, prior_map.origin
-    found: list[Proposer] = []
+    cloud, found = prior_map.voxel_cloud, list[Proposer]()
     if config.stems.enabled:
-        voxel = prior_map.cloud_voxel
-        found.append(StemProposer(cloud, origin, voxel, config.stems, config.segmentation))
+        found.append(StemProposer(cloud, config.stems, config.segmentation))
     if config.occupancy.enabled:
         path = prior_map.trajectory
-        found.append(OccupancyProposer(cloud, origin, path, config.occupancy, config.segmentation))
+        found.append(OccupancyProposer(cloud, path, config.occupancy, config.segmentation))
     return tuple(found)
 
 

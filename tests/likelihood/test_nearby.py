@@ -87,7 +87,7 @@ def test_points_on_a_plane_are_counted_by_its_slope() -> None:
     target = _native.Surface(points, 1.0, 0.8)
     # Without noise, and lifted: where a normal is known, all of a surface is equally far off.
     source = _native.Surface(points, 1.0, 0.8)
-    normals = source.normals()
+    normals = _native.normals(points, 1.0, 0.8)
     up = np.abs(normals[:, 2])
     T = geometry.rigid(np.eye(3), (0.0, 0.0, 0.15))
     level, steep = up > 0.99, (up < 0.3) & normals.any(axis=1)

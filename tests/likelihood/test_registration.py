@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc._native import Surface, voxel_grid
+from segloc._native import Surface, normals, voxel_grid
 from segloc.likelihood.registration import MIN_POINTS, Aligner
 from segloc.types import Float32, Float64, Pose
 
@@ -74,7 +74,7 @@ def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, 
 @settings(max_examples=6)
 def test_normals(seed: int, count: int) -> None:
     points = voxel_grid(room(seed, count), 0.4)
-    found = Surface(points, REACH, SUPPORT).normals()
+    found = normals(points, REACH, SUPPORT)
     expected = reference_normals(points, SUPPORT)
     assert found.shape == (len(points), 3)
     length = np.linalg.norm(found, axis=1)

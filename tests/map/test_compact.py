@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import zlib
 from collections.abc import Callable
 from math import prod
@@ -115,6 +116,8 @@ def test_compact_maps_are_small_and_come_back(
     small.save(tmp_path / "a.segmap")
     loaded = SegmentMap.load(tmp_path / "a.segmap")
     assert_identical(small, loaded)
+    assert_identical(small, pickle.loads(pickle.dumps(loaded)))
+    assert loaded.memory_bytes < 0.6 * small.memory_bytes
     loaded.save(tmp_path / "b.segmap")
     assert (tmp_path / "a.segmap").read_bytes() == (tmp_path / "b.segmap").read_bytes()
     sizes = [(tmp_path / f"{name}.segmap").stat().st_size for name in ("a", "plain")]

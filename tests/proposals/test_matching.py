@@ -97,6 +97,25 @@ def test_an_index_that_reads_every_list_is_exact() -> None:
         np.testing.assert_array_equal(distances, expected[1])
 
 
+@pytest.mark.parametrize("isa", ["portable", "auto"])
+@pytest.mark.parametrize(("rows", "lists"), [(70, 1), (5000, 1), (5000, 40)])
+def test_integers_of_a_lattice_are_found_like_their_numbers(
+    isa: str, rows: int, lists: int
+) -> None:
+    rng = np.random.default_rng(5)
+    codes = rng.integers(0, 256, (rows, 12), np.uint8)
+    step = np.ldexp(1.0, rng.integers(-9, -5, 12)).astype(np.float32)
+    base = rng.integers(-200, 10, 12).astype(np.float32) * step
+    database = base + codes * step
+    queries = database[:60] + rng.normal(0, 0.1, (60, 12)).astype(np.float32)
+    numbers = _native.DescriptorIndex(database, lists, 1, isa)
+    integers = _native.DescriptorIndex(codes, base, step, lists, 1, isa)
+    for found, expected in zip(
+        integers.search(queries, 25, 6), numbers.search(queries, 25, 6), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_few_lists_hold_most_neighbours_and_always_enough() -> None:
     rng = np.random.default_rng(4)
     centres = rng.normal(size=(200, 16)) * 2

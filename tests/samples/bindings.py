@@ -70,6 +70,8 @@ def _segments() -> Arguments:
 def _segmentation() -> Iterator[tuple[str, Call]]:
     points = _points(600)
     yield "voxel_grid", Call(_native.voxel_grid, {"points": points, "size": 0.5})
+    thinned = {"points": points, "origin": np.float64([0.1, 2.0, 0.3]), "voxel": 0.4}
+    yield "central_points", Call(_native.central_points, thinned)
     ground = {"points": points, "cell": 0.7, "max_slope": 0.2, "outlier": 0.3}
     yield "heights_above_ground", Call(_native.heights_above_ground, ground)
     clusters = {"points": points, "radius": 0.5, "min_points": 2, "max_points": 500}
@@ -172,7 +174,7 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
     yield "VisibilityCheck.count", Call(_native.VisibilityCheck(**view).count, count)
     surface = {"points": points, "max_correspondence_distance": 1.0, "support": 1.0}
-    yield "Surface", Call(lambda **a: _native.Surface(**a).normals(), surface)
+    yield "Surface", Call(_native.normals, surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
     on_plane = {"source": known, "T_target_source": eye, "least_slope": -1.0, "most_slope": 2.0}
@@ -324,6 +326,7 @@ def _others() -> Iterator[tuple[str, Call]]:
 ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
     _segmentation: (
         "voxel_grid",
+        "central_points",
         "heights_above_ground",
         "euclidean_clusters",
         "split_by_height",

@@ -41,11 +41,12 @@ void orthonormalize(std::vector<double>& rows, std::size_t dim) {
 }
 
 // Evenly spaced rows less their mean, divided by their largest magnitude.
-std::vector<double> centred_sample(const float* database, std::size_t count, std::size_t dim,
-                                   std::size_t sampled) {
+std::vector<double> centred_sample(const DescriptorRows& database, std::size_t sampled) {
+  const std::size_t dim = database.dim;
   std::vector<double> sample(sampled * dim), mean(dim, 0.0);
+  std::vector<float> buffer;
   for (std::size_t i = 0; i < sampled; ++i) {
-    const float* row = database + i * count / sampled * dim;
+    const float* row = database.read(i * database.count / sampled, 1, buffer);
     for (std::size_t d = 0; d < dim; ++d) {
       sample[i * dim + d] = row[d];
       mean[d] += row[d] / static_cast<double>(sampled);
@@ -97,11 +98,10 @@ void split(const float* projections, std::size_t block, std::uint32_t* begin, st
 }  // namespace
 
 // Subspace iteration: axes <- sample^T (sample axes), made orthonormal.
-DescriptorAxes::DescriptorAxes(const float* database, std::size_t count, std::size_t dim)
-    : dim_(dim) {
-  if (count < kFewestRows) return;
-  const std::size_t sampled = std::min(count, kSampled);
-  const std::vector<double> sample = centred_sample(database, count, dim, sampled);
+DescriptorAxes::DescriptorAxes(const DescriptorRows& database) : dim_(database.dim) {
+  if (database.count < kFewestRows) return;
+  const std::size_t dim = dim_, sampled = std::min(database.count, kSampled);
+  const std::vector<double> sample = centred_sample(database, sampled);
   // It sets out from rows of the sample, far from each other.
   std::vector<double> axes(kBoxAxes * dim), next(kBoxAxes * dim);
   for (std::size_t k = 0; k < kBoxAxes; ++k) {

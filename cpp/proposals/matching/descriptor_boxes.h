@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/aligned.h"
+#include "proposals/matching/descriptor_rows.h"
 #include "simd/kernels.h"
 
 namespace segloc {
@@ -15,8 +16,8 @@ namespace segloc {
 class DescriptorAxes {
  public:
   DescriptorAxes() = default;
-  // Of a database (count, dim); none where it is small.
-  DescriptorAxes(const float* database, std::size_t count, std::size_t dim);
+  // Of a database; none where it is small.
+  explicit DescriptorAxes(const DescriptorRows& database);
 
   bool empty() const { return axes_.empty(); }
   // rows (n, dim) -> projections (n, kBoxAxes), and the largest of their magnitudes.

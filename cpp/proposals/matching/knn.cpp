@@ -22,17 +22,20 @@ constexpr std::size_t kSelectedBytes = std::size_t{1} << 28;  // of a worker's s
 constexpr std::size_t kSampled = 32;  // points a centre that k-means looks at
 constexpr int kRounds = 8;            // of k-means
 
+constexpr std::size_t kRead = 1 << 14;  // rows that are decoded together
+constexpr uint32_t kNone = 0xFFFFFFFFu;  // padding of a list
+
 }  // namespace
 
-DescriptorIndex::DescriptorIndex(const float* database, std::size_t count, std::size_t dim,
-                                 std::size_t lists, Isa isa, int threads, bool boxes)
+DescriptorIndex::DescriptorIndex(const DescriptorRows& database, std::size_t lists, Isa isa,
+                                 int threads, bool boxes)
     : database_(database),
-      count_(count),
-      dim_(dim),
+      count_(database.count),
+      dim_(database.dim),
       boxed_(boxes),
       kernels_(kernels(isa)),
       lanes_(2 * kernels_.width) {
-  divide(std::max<std::size_t>(1, std::min(lists, count)), threads);
+  divide(std::max<std::size_t>(1, std::min(lists, count_)), threads);
 }
 
 // k-means on evenly spaced rows, and then every row to the centre that is nearest to it.
@@ -43,9 +46,9 @@ void DescriptorIndex::divide(std::size_t lists, int threads) {
     return pack(list_of, threads);
   }
   const std::size_t sampled = std::min(count_, kSampled * lists);
-  std::vector<float> sample(sampled * dim_);
+  std::vector<float> sample(sampled * dim_), buffer;
   for (std::size_t i = 0; i < sampled; ++i) {
-    std::copy_n(database_ + i * count_ / sampled * dim_, dim_, sample.data() + i * dim_);
+    std::copy_n(database_.read(i * count_ / sampled, 1, buffer), dim_, sample.data() + i * dim_);
   }
   centres_.resize(lists * dim_);
   for (std::size_t c = 0; c < lists; ++c) {
@@ -73,22 +76,24 @@ void DescriptorIndex::divide(std::size_t lists, int threads) {
       }
     }
   }
-  coarse_ =
-      std::make_unique<DescriptorIndex>(centres_.data(), lists, dim_, 1, kernels_.isa, threads);
-  const std::vector<int64_t> at = nearest(database_, count_);
-  for (std::size_t i = 0; i < count_; ++i) list_of[i] = static_cast<uint32_t>(at[i]);
+  coarse_ = std::make_unique<DescriptorIndex>(DescriptorRows(centres_.data(), lists, dim_), 1,
+                                              kernels_.isa, threads);
+  for (std::size_t begin = 0; begin < count_; begin += kRead) {
+    const std::size_t n = std::min(kRead, count_ - begin);
+    const std::vector<int64_t> at = nearest(database_.read(begin, n, buffer), n);
+    for (std::size_t i = 0; i < n; ++i) list_of[begin + i] = static_cast<uint32_t>(at[i]);
+  }
   pack(list_of, threads);
 }
 
-// Rows as the scan reads them: blocks of `lanes_` rows, one dimension after another. Lists are
-// filled up with rows at infinity.
+// Rows as the scan reads them: blocks of `lanes_` rows, one dimension after another.
 void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
   const std::size_t lists = centres_.size() / dim_;
   sizes_.assign(lists, 0);
   for (const uint32_t list : list_of) ++sizes_[list];
   starts_.assign(1, 0);
   for (const std::size_t size : sizes_) starts_.push_back(starts_.back() + padded(size, lanes_));
-  ids_.assign(starts_.back(), static_cast<uint32_t>(count_));
+  ids_.assign(starts_.back(), kNone);
   std::vector<std::size_t> next(starts_.begin(), starts_.end() - 1);
   for (std::size_t i = 0; i < count_; ++i) ids_[next[list_of[i]]++] = static_cast<uint32_t>(i);
   group_starts_.assign(1, 0);
@@ -96,26 +101,39 @@ void DescriptorIndex::pack(const std::vector<uint32_t>& list_of, int threads) {
     const std::size_t blocks = (starts_[list + 1] - starts_[list]) / lanes_;
     group_starts_.push_back(group_starts_.back() + (blocks + kBoxRun - 1) / kBoxRun);
   }
-  if (boxed_) axes_ = DescriptorAxes(database_, count_, dim_);
-  if (!axes_.empty()) {
-    std::vector<float> projections(count_ * kBoxAxes);
-    farthest_ = axes_.project(database_, count_, threads, projections.data());
-    bound(projections.data(), threads);
+  if (boxed_) axes_ = DescriptorAxes(database_);
+  if (!axes_.empty()) bound(threads);
+  if (database_.values) {
+    packed_ = AlignedFloats(starts_.back() * dim_);
+    fill(packed_.data(), database_.values, threads);
+  } else {
+    codes_.resize(starts_.back() * dim_);
+    fill(codes_.data(), database_.codes, threads);
   }
-  packed_ = AlignedFloats(starts_.back() * dim_);
+}
+
+template <typename Value>
+void DescriptorIndex::fill(Value* packed, const Value* rows, int threads) const {
   parallel_for(starts_.back() / lanes_, 64, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t i = begin * lanes_; i < end * lanes_; ++i) {
-      float* column = packed_.data() + i / lanes_ * dim_ * lanes_ + i % lanes_;
-      const float* row = ids_[i] < count_ ? database_ + ids_[i] * dim_ : nullptr;
-      for (std::size_t d = 0; d < dim_; ++d) {
-        column[d * lanes_] = row ? row[d] : std::numeric_limits<float>::infinity();
-      }
+      if (ids_[i] == kNone) continue;
+      Value* column = packed + i / lanes_ * dim_ * lanes_ + i % lanes_;
+      const Value* row = rows + ids_[i] * dim_;
+      for (std::size_t d = 0; d < dim_; ++d) column[d * lanes_] = row[d];
     }
   });
 }
 
 // Rows that lie near each other share a block.
-void DescriptorIndex::bound(const float* projections, int threads) {
+void DescriptorIndex::bound(int threads) {
+  std::vector<float> projected(count_ * kBoxAxes), buffer;
+  for (std::size_t begin = 0; begin < count_; begin += kRead) {
+    const std::size_t n = std::min(kRead, count_ - begin);
+    float* const to = projected.data() + begin * kBoxAxes;
+    farthest_ =
+        std::max(farthest_, axes_.project(database_.read(begin, n, buffer), n, threads, to));
+  }
+  const float* const projections = projected.data();
   boxes_.resize(group_starts_.back());
   parallel_for(sizes_.size(), 1, threads, [&](std::size_t begin, std::size_t end, int) {
     for (std::size_t list = begin; list < end; ++list) {
@@ -170,7 +188,7 @@ class DescriptorIndex::Search {
   Search(const DescriptorIndex& index, const float* queries, std::size_t count,
          std::size_t columns)
       : index_(index),
-        points_{index.database_, index.count_, index.dim_, index.ids_.data()},
+        points_{index.database_, index.ids_.data()},
         selections_(count, Selection(columns, index.lanes_)),
         near_(count * kBoxAxes),
         first_(count) {
@@ -266,20 +284,35 @@ class DescriptorIndex::Search {
     for (std::size_t block = 0; block < blocks_of(list, group); ++block) {
       std::vector<uint32_t>& visitors = visitors_[block];
       const std::size_t at = first + block * index_.lanes_;
+      const std::size_t left = index_.starts_[list] + index_.sizes_[list] - at;
+      const uint32_t points = left < 32 ? (1u << left) - 1u : ~0u;
       for (std::size_t begin = 0; begin < visitors.size(); begin += kGroup) {
         const std::size_t count = std::min(kGroup, visitors.size() - begin);
         KnnScan scan;
+        scan.points = points;
         for (std::size_t i = 0; i < kGroup; ++i) {  // a short group repeats its last query
           selections_[visitors[begin + std::min(i, count - 1)]].offer(scan, i);
           if (i >= count) scan.thresholds[i] = -1.0f;
         }
-        index_.kernels_.knn_scan(index_.packed_.data() + at * index_.dim_, index_.dim_,
-                                 static_cast<uint32_t>(at), scan);
+        read(at, scan);
         for (std::size_t i = 0; i < count; ++i) {
           selections_[visitors[begin + i]].take(scan.counts[i], points_);
         }
       }
       visitors.clear();
+    }
+  }
+
+  void read(std::size_t at, KnnScan& scan) const {
+    const Kernels& kernels = index_.kernels_;
+    const std::size_t dim = index_.dim_, offset = at * dim;
+    const auto first = static_cast<uint32_t>(at);
+    if (index_.database_.values) {
+      kernels.knn_scan(index_.packed_.data() + offset, dim, first, scan);
+    } else {
+      const DescriptorRows& rows = index_.database_;
+      kernels.knn_scan_codes({index_.codes_.data() + offset, rows.base, rows.step}, dim, first,
+                             scan);
     }
   }
 
@@ -314,7 +347,7 @@ void DescriptorIndex::search(const float* queries, std::size_t query_count, std:
 void nearest_descriptors(const float* queries, std::size_t query_count, const float* database,
                          std::size_t database_count, std::size_t dim, std::size_t columns, Isa isa,
                          int threads, int64_t* indices, float* distances) {
-  const DescriptorIndex index(database, database_count, dim, 1, isa, threads,
+  const DescriptorIndex index(DescriptorRows(database, database_count, dim), 1, isa, threads,
                               query_count >= kBoxedQueries);
   index.search(queries, query_count, columns, 1, threads, indices, distances);
 }

@@ -8,6 +8,7 @@
 
 #include "common/aligned.h"
 #include "proposals/matching/descriptor_boxes.h"
+#include "proposals/matching/descriptor_rows.h"
 #include "simd/kernels.h"
 
 namespace segloc {
@@ -18,10 +19,10 @@ namespace segloc {
 // nearest. Neither the lists nor the answers depend on the number of threads.
 class DescriptorIndex {
  public:
-  // The database (count, dim) must stay where it is. dim > 0, lists > 0. Without `boxes` no block is
-  // skipped: they cost as much as the search for some tens of queries.
-  DescriptorIndex(const float* database, std::size_t count, std::size_t dim, std::size_t lists,
-                  Isa isa, int threads, bool boxes = true);
+  // dim > 0, lists > 0. Without `boxes` no block is skipped: they cost as much as the search for
+  // some tens of queries.
+  DescriptorIndex(const DescriptorRows& database, std::size_t lists, Isa isa, int threads,
+                  bool boxes = true);
 
   // For each row of queries (Q, dim) the `columns` nearest rows, columns <= count, sorted by
   // distance and then by index. Distances are Euclidean; they are ranked in double. `probes` lists
@@ -38,11 +39,13 @@ class DescriptorIndex {
 
   void divide(std::size_t lists, int threads);
   void pack(const std::vector<uint32_t>& list_of, int threads);
-  void bound(const float* projections, int threads);
+  void bound(int threads);
+  template <typename Value>
+  void fill(Value* packed, const Value* rows, int threads) const;
   std::vector<std::vector<uint32_t>> probed(const float* queries, std::size_t query_count,
                                             std::size_t columns, std::size_t probes) const;
 
-  const float* database_;
+  DescriptorRows database_;
   std::size_t count_, dim_;
   bool boxed_;
   const Kernels& kernels_;
@@ -51,8 +54,9 @@ class DescriptorIndex {
   std::unique_ptr<const DescriptorIndex> coarse_;  // over the centres, if there are several
   std::vector<std::size_t> starts_;  // of each list, in packed positions: multiples of lanes_
   std::vector<std::size_t> sizes_;   // of each list
-  std::vector<uint32_t> ids_;        // row of the database at each position; count_ for padding
-  AlignedFloats packed_;
+  std::vector<uint32_t> ids_;        // row of the database at each position
+  AlignedFloats packed_;             // blocks of rows, one dimension after another,
+  std::vector<std::uint8_t> codes_;  // or the same of coded rows
   DescriptorAxes axes_;                   // none: every block is read
   float farthest_ = 0.0f;                 // along the axes, of any row
   std::vector<std::size_t> group_starts_;  // of each list, among the groups of blocks

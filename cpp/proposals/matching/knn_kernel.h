@@ -11,9 +11,10 @@ namespace {
 constexpr size_t kScanQueries = 4;
 constexpr size_t kScanVecs = 2;
 
-// block: (dim, kScanVecs * kWidth); `first` is the index of its first point. Distances are sums of
-// squared differences: no cancellation.
-void knn_scan(const float* block, size_t dim, uint32_t first, KnnScan& scan) {
+// at(d, v): values of a block along a dimension; `first` is the index of its first point. Distances
+// are sums of squared differences: no cancellation.
+template <typename At>
+inline void scan_block(const At& at, size_t dim, uint32_t first, KnnScan& scan) {
   constexpr size_t kPoints = kScanVecs * kWidth;
   Vec sum[kScanQueries][kScanVecs];
   SEGLOC_UNROLL
@@ -24,7 +25,7 @@ void knn_scan(const float* block, size_t dim, uint32_t first, KnnScan& scan) {
   for (size_t d = 0; d < dim; ++d) {
     Vec x[kScanVecs];
     SEGLOC_UNROLL
-    for (size_t v = 0; v < kScanVecs; ++v) x[v] = load(block + d * kPoints + v * kWidth);
+    for (size_t v = 0; v < kScanVecs; ++v) x[v] = at(d, v);
     SEGLOC_UNROLL
     for (size_t q = 0; q < kScanQueries; ++q) {
       const Vec y = broadcast(scan.queries[q][d]);
@@ -43,6 +44,7 @@ void knn_scan(const float* block, size_t dim, uint32_t first, KnnScan& scan) {
     for (size_t v = 0; v < kScanVecs; ++v) {
       hits |= less_equal(sum[q][v], threshold) << (v * kWidth);
     }
+    hits &= scan.points;
     if (hits == 0) continue;
     float values[kPoints];
     SEGLOC_UNROLL
@@ -53,6 +55,20 @@ void knn_scan(const float* block, size_t dim, uint32_t first, KnnScan& scan) {
       scan.distances2[q][scan.counts[q]++] = values[offset];
     }
   }
+}
+
+// block: (dim, kScanVecs * kWidth)
+void knn_scan(const float* block, size_t dim, uint32_t first, KnnScan& scan) {
+  const auto at = [&](size_t d, size_t v) { return load(block + (d * kScanVecs + v) * kWidth); };
+  scan_block(at, dim, first, scan);
+}
+
+void knn_scan_codes(const KnnCodes& block, size_t dim, uint32_t first, KnnScan& scan) {
+  const auto at = [&](size_t d, size_t v) {
+    const Vec codes = load_bytes(block.codes + (d * kScanVecs + v) * kWidth);
+    return fma(codes, broadcast(block.step[d]), broadcast(block.base[d]));
+  };
+  scan_block(at, dim, first, scan);
 }
 
 // boxes: (kBoxAxes, 2, kBoxRun), lower and upper ends; bounds: squared distances to a place.

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/portability.h"
+#include "proposals/matching/descriptor_rows.h"
 #include "simd/kernels.h"
 
 namespace segloc {
@@ -27,14 +28,14 @@ inline void squared_distances(const float* query, const float* const rows[4], st
   std::copy_n(sum, 4, sums);
 }
 
-inline void prefetch_row(const float* row, std::size_t dim) {
-  constexpr std::size_t kLine = 16;  // floats
+template <typename Value>
+void prefetch_row(const Value* row, std::size_t dim) {
+  constexpr std::size_t kLine = 64 / sizeof(Value);
   for (std::size_t d = 0; d < dim; d += kLine) prefetch(row + d);
 }
 
 struct Points {
-  const float* values;  // (count, dim)
-  std::size_t count, dim;
+  const DescriptorRows& rows;
   const uint32_t* ids;  // row at each packed position
 };
 
@@ -109,12 +110,11 @@ class Selection {
   }
   // Keeps the best `columns`, compared exactly.
   void rank(const Points& database) {
-    std::size_t n = 0;
-    for (std::size_t c = 0; c < count_; ++c) {
-      const uint32_t id = database.ids[indices_[c]];
-      if (id < database.count) ranked_[n++] = {0.0, id, indices_[c]};  // else padding of a list
+    const std::size_t n = count_;
+    for (std::size_t c = 0; c < n; ++c) {
+      ranked_[c] = {0.0, database.ids[indices_[c]], indices_[c]};
     }
-    measure(database, n);
+    measure(database.rows, n);
     const auto begin = ranked_.begin(), end = begin + static_cast<std::ptrdiff_t>(n);
     if (n > columns_) {
       std::nth_element(begin, begin + static_cast<std::ptrdiff_t>(columns_ - 1), end);
@@ -128,15 +128,23 @@ class Selection {
   }
 
   // The rows are all over the database: they are prefetched.
-  void measure(const Points& database, std::size_t n) {
+  void measure(const DescriptorRows& database, std::size_t n) {
     constexpr std::size_t kAhead = 16;
-    const auto row = [&](std::size_t c) {
-      return database.values + ranked_[std::min(c, n - 1)].id * database.dim;
+    const auto id = [&](std::size_t c) { return ranked_[std::min(c, n - 1)].id; };
+    const auto fetch = [&](std::size_t c) {
+      if (database.values) {
+        prefetch_row(database.values + id(c) * database.dim, database.dim);
+      } else {
+        prefetch_row(database.codes + id(c) * database.dim, database.dim);
+      }
     };
-    for (std::size_t c = 0; c < std::min(n, kAhead); ++c) prefetch_row(row(c), database.dim);
+    for (std::size_t c = 0; c < std::min(n, kAhead); ++c) fetch(c);
     for (std::size_t c = 0; c < n; c += 4) {
-      for (std::size_t i = 0; i < 4; ++i) prefetch_row(row(c + kAhead + i), database.dim);
-      const float* const rows[4] = {row(c), row(c + 1), row(c + 2), row(c + 3)};
+      const float* rows[4];
+      for (std::size_t i = 0; i < 4; ++i) {
+        fetch(c + kAhead + i);
+        rows[i] = database.read(id(c + i), 1, decoded_[i]);
+      }
       double sums[4];
       squared_distances(query_, rows, database.dim, sums);
       for (std::size_t i = 0; i < std::min<std::size_t>(4, n - c); ++i) {
@@ -149,6 +157,7 @@ class Selection {
   std::vector<uint32_t> indices_;
   std::vector<float> distances2_, sorted_;
   std::vector<Candidate> ranked_;
+  std::vector<float> decoded_[4];
   const float* query_ = nullptr;
   float threshold_ = 0;
 };

@@ -17,7 +17,7 @@ from scipy.ndimage import binary_dilation
 from ..errors import ConfigError, SeglocError
 from ..frontend.segmentation import SegmentationConfig
 from ..map.segment_map import SegmentMap
-from ..proposals.occupancy import Ground, storeys
+from ..proposals.occupancy import ground_of, storeys
 from ..system.files import replacing, write_text
 from ..types import Float32, Float64
 
@@ -92,7 +92,7 @@ def occupancy_grid(
         Sensor positions, connected by free ground.
     """
     edge = options.resolution_m
-    heights = cloud[:, 2] - Ground(cloud, path, SegmentationConfig()).below_cloud
+    heights = cloud[:, 2] - ground_of(cloud, path, SegmentationConfig())[1]
     corner = np.floor(cloud[:, :2].min(axis=0) / edge).astype(np.float64) * edge
     cells = np.floor((cloud[:, :2] - corner) / edge).astype(np.int64)
     shape = cells[:, 1].max() + 1, cells[:, 0].max() + 1

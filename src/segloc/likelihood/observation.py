@@ -251,9 +251,11 @@ class MapCloud:
         self.storeyed, self._path = storeyed, path - origin
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
-        self._target = Target(self._aligner.surface(cloud), index, config.unmapped_overlap)
+        self._target = Target(
+            self._aligner.surface(cloud, target=True), index, config.unmapped_overlap
+        )
         self._nearby = NearbySearch(index, config.nearby, separation)
-        self._compared = ComparedMap(self._target, close_surface(cloud), self._path)
+        self._compared = ComparedMap(self._target, close_surface(cloud, target=True), self._path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """Preprocess a query cloud for comparison with this one."""
@@ -544,9 +546,12 @@ def intruding_count(
     return Count(intruding, used)
 
 
-def close_surface(points: Float32) -> _native.Surface:
-    """Return the surface of a cloud (N, 3) as dense as a map; its planes are accurate to cm."""
-    return _native.Surface(np.ascontiguousarray(points), _CLOSE_M, _SUPPORT_M)
+def close_surface(points: Float32, *, target: bool = False) -> _native.Surface:
+    """Return the surface of a cloud (N, 3) as dense as a map; its planes are accurate to cm.
+
+    One that is only a target is tiled.
+    """
+    return _native.Surface(np.ascontiguousarray(points), _CLOSE_M, _SUPPORT_M, target)
 
 
 def flush_count(target: _native.Surface, source: _native.Surface, T: Pose, offset: float) -> Count:

@@ -169,10 +169,10 @@ class Aligner:
         self._voxel, self._threads = voxel, threads
         self._max_correspondence = max_correspondence
 
-    def surface(self, points: Float32) -> _native.Surface:
-        """Preprocess a cloud (N, 3) for alignment; reusable."""
+    def surface(self, points: Float32, *, target: bool = False) -> _native.Surface:
+        """Preprocess a cloud (N, 3) for alignment; reusable. One that is only a target is tiled."""
         thinned = _native.voxel_grid(np.ascontiguousarray(points), self._voxel)
-        return _native.Surface(thinned, self._max_correspondence, 2.0 * self._voxel)
+        return _native.Surface(thinned, self._max_correspondence, 2.0 * self._voxel, target)
 
     def align(
         self,

@@ -8,6 +8,7 @@ was packed and its shape, and are checked before allocation. Rounding is idempot
 
 from __future__ import annotations
 
+import weakref
 import zlib
 from collections.abc import Mapping
 from math import prod
@@ -31,6 +32,7 @@ MAX_GROWTH, ALWAYS_BYTES = 200, 1 << 20
 _PART_BITS = (0, 1, 2, 4)
 _MAX_CODE = 1 << 52  # integers are exact in float64 up to here
 _MAX_CELL = 1 << 50
+_MAX_EXACT_EXPONENT = 60  # of numbers on a lattice, far from the ends of float32
 _Length = Annotated[int, Field(ge=0, le=1 << 40)]
 _Width = Literal[1, 2, 4, 8]
 WIDTHS = (1, 2, 4, 8)
@@ -123,14 +125,113 @@ def fault_of_growth(recipes: Recipes, packed_bytes: int) -> str | None:
     return f"{packed_bytes} bytes cannot unpack to {claimed}"
 
 
-def unpacked_array(
+class Stored:
+    """An array in few bytes, unpacked on use and shared by those that use it at a time.
+
+    Attributes
+    ----------
+    nbytes : int
+        Size in memory.
+    """
+
+    nbytes: int
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._array: weakref.ref[Array] | None = None
+
+    def __len__(self) -> int:
+        return self._rows
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_array": None}
+
+    def array(self) -> Array:
+        """Return the array, read-only.
+
+        Raises
+        ------
+        CodingError
+            If the data do not match the recipe; never later than on the first call.
+        """
+        array = None if self._array is None else self._array()
+        if array is None:
+            array = self._unpacked()
+            array.flags.writeable = False
+            self._array = weakref.ref(array)
+        return array
+
+    def _unpacked(self) -> Array:
+        raise NotImplementedError
+
+
+class StoredCloud(Stored):
+    """Points (N, 3) float32 as an octree."""
+
+    def __init__(self, data: bytes, recipe: OctreeRecipe, origin: Float64, voxel: float) -> None:
+        super().__init__(recipe.shape[0])
+        self._data, self._recipe, self._grid = data, recipe, (origin, voxel)
+        self.nbytes = len(data)
+
+    def _unpacked(self) -> Array:
+        return _from_octree(self._data, self._recipe, *self._grid)
+
+
+class Coded(Stored):
+    """Numbers of a lattice as integers, (codes + low) * 2 ** exponents.
+
+    Attributes
+    ----------
+    codes : (P, C) uint8, uint16, uint32 or uint64
+    """
+
+    def __init__(self, data: bytes, recipe: LatticeRecipe, dtype: str) -> None:
+        columns = prod(recipe.shape[1:])
+        if not len(recipe.low) == len(recipe.exponents) == columns:
+            raise CodingError("coded with another width")
+        super().__init__(recipe.shape[0])
+        self.codes = unpacked(data, recipe.shape[0], columns, recipe.width)
+        self._recipe, self._dtype = recipe, np.dtype(dtype)
+        self.nbytes = self.codes.nbytes
+
+    def lattice(self) -> tuple[Float32, Float32] | None:
+        """Return base and step of each column, exact for base + code * step; None if not."""
+        low, exponents = np.array(self._recipe.low), np.array(self._recipe.exponents)
+        few = self.codes.dtype == np.uint8 and np.abs(low).max(initial=0) < 1 << 23
+        if not few or np.abs(exponents).max(initial=0) > _MAX_EXACT_EXPONENT:
+            return None
+        step = np.ldexp(1.0, exponents)
+        return (low * step).astype(np.float32), step.astype(np.float32)
+
+    def rows(self, chosen: Int64) -> Array:
+        """Return some rows of the array, (K, C)."""
+        return _numbers(self.codes[chosen], self._recipe, self._dtype)
+
+    def _unpacked(self) -> Array:
+        return _numbers(self.codes, self._recipe, self._dtype).reshape(self._recipe.shape)
+
+
+class Palette(Stored):
+    """Distinct numbers, and the index of each row."""
+
+    def __init__(self, data: bytes, recipe: PaletteRecipe) -> None:
+        super().__init__(recipe.shape[0])
+        self._values, self._index = _palette_of(data, recipe)
+        self.nbytes = self._values.nbytes + self._index.nbytes
+
+    def _unpacked(self) -> Array:
+        found: Float64 = self._values[self._index]
+        return found
+
+
+def stored_array(
     data: Bytes,
     recipe: LatticeRecipe | PaletteRecipe | OctreeRecipe,
     dtype: str,
     origin: Float64,
     cloud_voxel: float,
-) -> Array:
-    """Unpack an array by its recipe.
+) -> Stored:
+    """Return a packed array by its recipe.
 
     Raises
     ------
@@ -138,10 +239,10 @@ def unpacked_array(
         If the data do not match the recipe.
     """
     if isinstance(recipe, OctreeRecipe):
-        return _from_octree(data.tobytes(), recipe, origin, cloud_voxel)
+        return StoredCloud(data.tobytes(), recipe, origin, cloud_voxel)
     if isinstance(recipe, PaletteRecipe):
-        return _from_palette(data.tobytes(), recipe).astype(dtype, copy=False)
-    return _from_lattice(data.tobytes(), recipe, np.dtype(dtype))
+        return Palette(data.tobytes(), recipe)
+    return Coded(data.tobytes(), recipe, dtype)
 
 
 def _column(name: str, array: Array) -> tuple[bytes, LatticeRecipe | PaletteRecipe] | None:
@@ -166,11 +267,7 @@ def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
     return (packed(codes - low, width), recipe) if fits else None
 
 
-def _from_lattice(data: bytes, recipe: LatticeRecipe, dtype: np.dtype[Any]) -> Array:
-    columns = prod(recipe.shape[1:])
-    if not len(recipe.low) == len(recipe.exponents) == columns:
-        raise CodingError("coded with another width")
-    codes = unpacked(data, recipe.shape[0], columns, recipe.width)
+def _numbers(codes: NDArray[Any], recipe: LatticeRecipe, dtype: np.dtype[Any]) -> Array:
     low, whole = np.array(recipe.low, np.int64), dtype.kind == "i"
     few = recipe.width <= 2 and np.abs(low).max(initial=0) < 1 << 23 and not whole
     exact = np.float32 if few else np.float64  # exact for all of the numbers
@@ -180,7 +277,7 @@ def _from_lattice(data: bytes, recipe: LatticeRecipe, dtype: np.dtype[Any]) -> A
         numbers *= np.ldexp(1.0, np.array(recipe.exponents)).astype(exact)
         if whole and not (np.abs(numbers) < 2.0**31).all():
             raise CodingError("numbers out of range")
-        return numbers.astype(dtype, copy=False).reshape(recipe.shape)
+        return numbers.astype(dtype, copy=False)
 
 
 def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
@@ -191,7 +288,7 @@ def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
     return values.astype("<f8").tobytes() + packed(codes, width), recipe
 
 
-def _from_palette(data: bytes, recipe: PaletteRecipe) -> Float64:
+def _palette_of(data: bytes, recipe: PaletteRecipe) -> tuple[Float64, NDArray[Any]]:
     size = 8 * recipe.values
     if len(data) < size:
         raise CodingError("cut off")
@@ -199,8 +296,7 @@ def _from_palette(data: bytes, recipe: PaletteRecipe) -> Float64:
     rows = unpacked(data[size:], recipe.shape[0], 1, recipe.width)[:, 0]
     if rows.max(initial=0) >= max(recipe.values, 1) or (len(rows) and not len(values)):
         raise CodingError("palette index out of range")
-    found: Float64 = values[rows]
-    return found
+    return values, rows
 
 
 def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, OctreeRecipe] | None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,11 +26,12 @@ from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, 
 from .coding import (
     CodingError,
     Recipes,
+    Stored,
     fault_of_growth,
     packed_arrays,
     recipes_of,
+    stored_array,
     text_of,
-    unpacked_array,
 )
 from .contents import MAX_DIM, Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
 
@@ -96,6 +97,8 @@ class Contents:
     cloud_voxel : float
         Voxel size of the cloud [m].
     metadata : dict of str to str
+    stored : mapping
+        Arrays of a packed file as they are stored.
     """
 
     arrays: Mapping[str, Array]
@@ -103,6 +106,7 @@ class Contents:
     fingerprint: str
     cloud_voxel: float
     metadata: Mapping[str, str]
+    stored: Mapping[str, Stored] = field(default_factory=dict)
 
     def fault(self, extremes: Mapping[str, Extremes] | None = None) -> str | None:
         """Return the fault of the values, with field and row; None if valid."""
@@ -235,15 +239,17 @@ def _unpacked(path: str | Path, contents: Contents, recipes: Recipes) -> Content
     arrays, voxel = dict(contents.arrays), contents.cloud_voxel
     if fault := voxel_fault(voxel) or column_fault("origin", arrays["origin"]):
         raise MapFormatError(f"{path}: damaged: {fault}")
+    stored: dict[str, Stored] = {}
     for name, recipe in recipes.items():
         dtype = _DTYPES[SCHEMA[name][0]]
         try:
-            arrays[name] = unpacked_array(arrays[name], recipe, dtype, arrays["origin"], voxel)
+            stored[name] = stored_array(arrays[name], recipe, dtype, arrays["origin"], voxel)
+            arrays[name] = stored[name].array()
         except CodingError as error:
             raise MapFormatError(f"{path}: damaged: {name}: {error}") from error
         except MemoryError as error:
             raise MapFormatError(f"{path}: {name} does not fit into memory") from error
-    return replace(contents, arrays=arrays)
+    return replace(contents, arrays=arrays, stored=stored)
 
 
 def _shown_to(digest: hashlib.blake2b, extremes: Extremes) -> Callable[[Array], None]:

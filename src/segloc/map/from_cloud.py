@@ -169,7 +169,7 @@ class ThinCloud:
     def _occluder(self, key: tuple[int, int]) -> Occluders:
         if key not in self._occluders:
             points = _native.voxel_grid(self._columns[key][0], OCCLUDER_M)
-            normals = _native.Surface(points, 1.0, 0.75).normals().astype(np.float32)
+            normals = _native.normals(points, 1.0, 0.75).astype(np.float32)
             self._occluders[key] = Occluders(points, normals, OCCLUDER_M)
         return self._occluders[key]
 

@@ -17,9 +17,19 @@ from ..system.above import from_above
 from ..system.section import Section
 from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile
+from .coding import Stored
 from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
-from .segment_table import SEGMENT_DTYPES, Array, SegmentTable, checked, joined, no_segments
+from .segment_table import (
+    SEGMENT_DTYPES,
+    Array,
+    Part,
+    SegmentTable,
+    bytes_of,
+    checked,
+    joined,
+    no_segments,
+)
 from .voxel_cloud import VoxelCloud
 
 if TYPE_CHECKING:
@@ -28,6 +38,8 @@ if TYPE_CHECKING:
 VIEWPOINTS, LATTICE = "viewpoints", "lattice"
 """Key of the metadata, and its value where the trajectory holds viewpoints about which no free
 space is known."""
+_USED_BY_QUERIES = ("centroids", "quality")
+"""Columns that are kept unpacked."""
 
 
 class SegmentMap(SegmentTable):
@@ -57,13 +69,14 @@ class SegmentMap(SegmentTable):
         cloud: VoxelCloud,
         trajectory: Float64,
         metadata: Mapping[str, str] | None = None,
+        stored: Mapping[str, Stored] | None = None,
     ) -> None:
-        super().__init__(segments)
+        super().__init__(segments, stored)
         self.descriptor = descriptor
         self.fingerprint = fingerprint
         self.metadata = dict(metadata or {})
         self._cloud = cloud
-        self._trajectory = [trajectory]
+        self._trajectory: list[Part] = [trajectory]
 
     @classmethod
     def empty(
@@ -145,12 +158,17 @@ class SegmentMap(SegmentTable):
     # --- contents ------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self.cloud)} points)"
+        return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self._cloud)} points)"
 
     @property
     def cloud(self) -> Float32:
         """Thinned points (N, 3) float32, relative to ``origin``."""
         return self._cloud.points
+
+    @property
+    def voxel_cloud(self) -> VoxelCloud:
+        """The cloud with its origin and voxels, unpacked on use."""
+        return self._cloud
 
     @property
     def origin(self) -> Float64:
@@ -177,7 +195,9 @@ class SegmentMap(SegmentTable):
 
     @property
     def memory_bytes(self) -> int:
-        return sum(array.nbytes for array in self._arrays().values())
+        """Size in memory, without what is unpacked on use."""
+        columns = sum(map(bytes_of, self._columns.values()))
+        return columns + self._cloud.nbytes + bytes_of(self._trajectory)
 
     def info(self) -> dict[str, Any]:
         """Return facts about the map as JSON values."""
@@ -191,7 +211,7 @@ class SegmentMap(SegmentTable):
             "sessions": len(np.unique(self.session)),
             "poses": len(self.trajectory),
             "has_quality": self.quality is not None,
-            "cloud_points": len(self.cloud),
+            "cloud_points": len(self._cloud),
             "cloud_voxel_m": self.cloud_voxel,
             "origin_m": self.origin.tolist(),
             "extent_m": extent,
@@ -330,7 +350,7 @@ class SegmentMap(SegmentTable):
         if missed is not None:
             segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
         masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
-        if masks[0].shape != (len(self),) or masks[1].shape != (len(self.cloud),):
+        if masks[0].shape != (len(self),) or masks[1].shape != (len(self._cloud),):
             raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not match")
         return self._part(segments, *masks, self.trajectory)
 
@@ -379,9 +399,14 @@ class SegmentMap(SegmentTable):
             file.descriptor,
             file.fingerprint,
             {name: array for name, array in file.arrays.items() if name in SEGMENT_DTYPES},
-            VoxelCloud(file.arrays["cloud"], file.arrays["origin"], file.cloud_voxel),
+            VoxelCloud(
+                file.stored.get("cloud", file.arrays["cloud"]),
+                file.arrays["origin"],
+                file.cloud_voxel,
+            ),
             file.arrays["trajectory"],
             file.metadata,
+            {name: each for name, each in file.stored.items() if name not in _USED_BY_QUERIES},
         )
 
     # --- internal ------------------------------------------------------------------------------

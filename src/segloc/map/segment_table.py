@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
 from ..types import Descriptors, Float32, Float64
+from .coding import Coded, Stored
 from .contents import column_fault
 
 Array = NDArray[Any]
@@ -26,11 +27,21 @@ SEGMENT_DTYPES: dict[str, Any] = {
 }
 
 
-def joined(parts: list[Array]) -> Array:
-    """Join the parts into one array, which replaces them in the list."""
-    if len(parts) > 1:
-        parts[:] = [np.concatenate(parts)]
-    return parts[0]
+Part = Array | Stored
+
+
+def joined(parts: list[Part]) -> Array:
+    """Join the parts into one array, which replaces them in the list if there are several."""
+    arrays = [part.array() if isinstance(part, Stored) else part for part in parts]
+    if len(arrays) > 1:
+        arrays = [np.concatenate(arrays)]
+        parts[:] = arrays
+    return arrays[0]
+
+
+def bytes_of(parts: list[Part]) -> int:
+    """Return the memory that the parts take."""
+    return sum(part.nbytes for part in parts)
 
 
 def row_shape(name: str, count: int, dim: int) -> tuple[int, ...]:
@@ -73,6 +84,8 @@ class SegmentTable:
     ----------
     columns : dict of str to array
         Columns of ``SEGMENT_DTYPES`` of equal length; "quality" and "missed" are optional.
+    stored : dict of str to Stored, optional
+        Columns that are unpacked on use.
 
     Attributes
     ----------
@@ -80,12 +93,16 @@ class SegmentTable:
         Length of a vector.
     """
 
-    def __init__(self, columns: Mapping[str, Array]) -> None:
+    def __init__(
+        self, columns: Mapping[str, Array], stored: Mapping[str, Stored] | None = None
+    ) -> None:
         self.dim = int(columns["vectors"].shape[1])
         # Rows are gathered in lists and joined on access. Whether there is a quality is unknown
         # until the first segments are added.
-        self._columns = {
-            name: [array] for name, array in columns.items() if name != "quality" or len(array)
+        self._columns: dict[str, list[Part]] = {
+            name: [(stored or {}).get(name, array)]
+            for name, array in columns.items()
+            if name != "quality" or len(array)
         }
         self._columns.setdefault("missed", [np.zeros(len(columns["session"]), np.int32)])
 
@@ -126,6 +143,12 @@ class SegmentTable:
     def missed(self) -> Int32:
         """Number of consecutive sessions that looked through each segment, (P,) int32."""
         return self._column("missed")
+
+    @property
+    def coded_vectors(self) -> Coded | None:
+        """The descriptors as integers of a lattice, if they are stored so."""
+        first, *others = self._columns["vectors"]
+        return first if isinstance(first, Coded) and not others else None
 
     def _column(self, name: str) -> Array:
         return joined(self._columns[name])

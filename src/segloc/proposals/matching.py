@@ -88,11 +88,13 @@ class Matcher:
     ) -> None:
         self.config = config or MatchingConfig()
         self.map_quality = prior_map.quality
-        self._vectors = np.ascontiguousarray(prior_map.vectors)
+        self._map = prior_map
+        # Unpacked vectors are kept where each query needs them.
+        self._vectors = None if pruner is None else prior_map.vectors
         self.schedule = self.config.schedule(len(prior_map))
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
-        self._index = _native.DescriptorIndex(self._vectors, max(lists, 1), threads)
+        self._index = _index(prior_map, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
         self._rows: Int64 | None = None  # map rows to search; None: all
@@ -101,7 +103,8 @@ class Matcher:
         """Return a matcher for some of the map's segments; its search is exact."""
         some = copy(self)
         some.schedule = self.config.schedule(len(rows))[: len(self.schedule)]
-        vectors = np.ascontiguousarray(self._vectors[rows])
+        coded = self._map.coded_vectors
+        vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
         some._index = _native.DescriptorIndex(vectors, 1, self._threads)
         some._rows = rows
         return some
@@ -110,7 +113,7 @@ class Matcher:
         """Return a matcher without a retry, for fewer neighbours from fewer lists."""
         some = copy(self)
         some.config = self.config.model_copy(update={"growth": growth, "probes": probes})
-        some.schedule = some.config.schedule(len(self._vectors))[:1]
+        some.schedule = some.config.schedule(len(self._map))[:1]
         return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
@@ -136,7 +139,7 @@ class Matcher:
 
     def prune(self, query: Descriptors, matches: Matches) -> Matches:
         """Return the probable matches, scored by probability; all matches without a pruner."""
-        if self._pruner is None:
+        if self._pruner is None or self._vectors is None:
             return matches
         score = self._pruner.probability(
             query.vectors, self._vectors, matches.query, matches.map, self._threads
@@ -180,6 +183,15 @@ class NeighbourSearch:
             most = max(neighbours, self._matcher.schedule[-1])
             self._found = self._matcher.nearest(self._query, most)
         return self._found
+
+
+def _index(prior_map: SegmentMap, lists: int, threads: int) -> _native.DescriptorIndex:
+    """Return the index of a map's descriptors; those of a lattice stay integers."""
+    coded = prior_map.coded_vectors
+    lattice = None if coded is None else coded.lattice()
+    if coded is None or lattice is None:
+        return _native.DescriptorIndex(np.ascontiguousarray(prior_map.vectors), lists, threads)
+    return _native.DescriptorIndex(coded.codes, *lattice, lists, threads)
 
 
 def _ordered(query: Int64, map_rows: Int64, distance: Float32, score: Float32) -> Matches:

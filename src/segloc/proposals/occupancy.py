@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from .. import _native, geometry
 from ..frontend.segmentation import Segmentation, SegmentationConfig, heights_above_ground
+from ..map.voxel_cloud import VoxelCloud
 from ..prior import Prior
 from ..system.section import Section
 from ..types import Candidate, Float32, Float64, Int64
@@ -84,9 +85,8 @@ class OccupancyProposer:
 
     Parameters
     ----------
-    cloud : (N, 3) float32
-        Cloud of the map with its ground, relative to ``origin``.
-    origin : (3,) float64
+    cloud : VoxelCloud
+        Cloud of the map with its ground.
     trajectory : (V, 4, 4) float64
         Poses of the mapping sensor. If empty, all of the cloud is searched.
     config : OccupancyConfig, optional
@@ -95,21 +95,20 @@ class OccupancyProposer:
 
     Notes
     -----
-    The first query builds the grid of the map in 0.1 to 1 s: about 7 MB per kilometre of street. A
+    The first query builds the grid of the map in 0.1 to 1 s: about 8 MB per kilometre of street. A
     map too wide for the grid has no candidates. Each storey of a building is searched separately.
     """
 
     def __init__(
         self,
-        cloud: Float32,
-        origin: Float64,
+        cloud: VoxelCloud,
         trajectory: Float64,
         config: OccupancyConfig | None = None,
         segmentation: SegmentationConfig | None = None,
     ) -> None:
         self.config = config or OccupancyConfig()
-        self._cloud, self._origin = cloud, origin
-        self._path = trajectory[:, :3, 3] - origin
+        self._cloud = cloud
+        self._path = trajectory[:, :3, 3] - cloud.origin
         self._segmentation = segmentation or SegmentationConfig()
         self._maps: list[_OccupancyMap] | None = None
 
@@ -132,14 +131,15 @@ class OccupancyProposer:
         if self._maps is None:  # concurrent callers build it twice, harmlessly
             self._maps = self._prepared()
         view = view_of(scene, self.config, self._segmentation)
-        found = [pose for each in self._maps for pose in each.search(view, self._origin, near)]
+        origin = self._cloud.origin
+        found = [pose for each in self._maps for pose in each.search(view, origin, near)]
         found.sort(key=lambda pose: -pose[4])
         poses = [(geometry.yaw_transform(yaw, (x, y, z)), fit) for x, y, z, yaw, fit in found]
         return [Candidate(T, 0, fit) for T, fit in poses if near is None or near.holds(T)]
 
     def _prepared(self) -> list[_OccupancyMap]:
         """Build the grid of each storey; the bound of work is shared among storeys."""
-        parts = list(storeys(self._cloud, self._path))
+        parts = list(storeys(self._cloud.points, self._path))
         config = self.config.model_copy(update={"work": self.config.work // len(parts)})
         return [_OccupancyMap(*part, config, self._segmentation) for part in parts]
 
@@ -163,8 +163,8 @@ class _OccupancyMap:
     def _prepare(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
         """Use the narrowest top-level windows that the bound of work permits."""
         config = self._config
-        self._ground = Ground(cloud, path, segmentation)
-        heights = cloud[:, 2] - self._ground.below_cloud
+        self._ground, below = ground_of(cloud, path, segmentation)
+        heights = cloud[:, 2] - below
         above = heights > HEIGHTS_M[0]
         if not above.any():
             return
@@ -407,32 +407,33 @@ def slices_of(heights: Float32) -> Bytes:
     return slices
 
 
-class Ground:
-    """Height of the ground of a map, below its points and at any position.
+def ground_of(
+    cloud: Float32, path: Float64, segmentation: SegmentationConfig
+) -> tuple[Ground, Float32]:
+    """Return the ground of a map, and its height below each point of the (N, 3) cloud [m].
 
     Returns from below the floor (mirrors, stairs) lower the estimate; without floor in view it is
     too high. It is therefore used only if it is close enough to the floor below the mapping sensor,
     for its distance from the trajectory. Elsewhere that floor replaces it.
-
-    Attributes
-    ----------
-    below_cloud : (N,) float32
-        Height of the ground below each point of the cloud [m].
     """
+    ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
+    cells = cells_of(cloud[:, :2], _GROUND_CELL_M)
+    _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
+    where = (cells[first] + 0.5) * _GROUND_CELL_M
+    if len(path) and len(cloud):
+        distance, station = nearest_of(path[:, :2], where)
+        floor = path[station, 2] - _sensor_height(cloud, path)
+        ground = plausible_ground(ground, floor[which], distance[which])
+    sums = np.bincount(which, weights=ground, minlength=len(first))
+    means: Float64 = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
+    return Ground(where, means), ground.astype(np.float32)
 
-    def __init__(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
-        ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
-        cells = cells_of(cloud[:, :2], _GROUND_CELL_M)
-        _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
-        where = (cells[first] + 0.5) * _GROUND_CELL_M
-        self._tree = cKDTree(where)
-        if len(path) and len(cloud):
-            distance, station = nearest_of(path[:, :2], where)
-            floor = path[station, 2] - _sensor_height(cloud, path)
-            ground = plausible_ground(ground, floor[which], distance[which])
-        self.below_cloud: Float32 = ground.astype(np.float32)
-        sums = np.bincount(which, weights=ground, minlength=len(first))
-        self._heights = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
+
+class Ground:
+    """Height of the ground of a map at any position, by (N, 2) places and their heights [m]."""
+
+    def __init__(self, places: Float64, heights: Float64) -> None:
+        self._tree, self._heights = cKDTree(places), heights
 
     def below(self, places: Float64) -> Float64:
         """Return the height of the ground at (N, 2) positions [m]."""

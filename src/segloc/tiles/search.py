@@ -209,9 +209,15 @@ _NONE = Matches(
 )
 
 
+_POINT_BYTES, _SEGMENT_BYTES = 45, 100
+"""Memory of a localizer's indices by point and by segment of its map."""
+
+
 def _bytes(localizer: Localizer) -> int:
-    """Estimate a localizer's memory: its map, and three times that for its indices."""
-    return 4 * localizer.prior_map.memory_bytes
+    """Estimate a localizer's memory: its map and its indices."""
+    prior_map = localizer.prior_map
+    points = _POINT_BYTES * len(prior_map.voxel_cloud)
+    return prior_map.memory_bytes + points + _SEGMENT_BYTES * len(prior_map)
 
 
 def _nowhere(matches: Matches, found: list[Candidate], near: Prior | None) -> Search:

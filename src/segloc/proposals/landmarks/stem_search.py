@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...frontend.segmentation import SegmentationConfig
+from ...map.voxel_cloud import VoxelCloud
 from ...prior import Prior
-from ...types import Candidate, Float32, Float64, Int64
+from ...types import Candidate, Int64
 from ..proposer import Proposals, Query
 from .config import Effort, LandmarkConfig, StemConfig
 from .landmark_map import LandmarkMap
@@ -27,11 +28,8 @@ class StemProposer:
 
     Parameters
     ----------
-    cloud : (N, 3) float32
-        Cloud of the map with its ground, relative to ``origin``.
-    origin : (3,) float64
-    voxel : float
-        Voxel size of the cloud [m].
+    cloud : VoxelCloud
+        Cloud of the map with its ground.
     config : StemConfig, optional
     segmentation : SegmentationConfig, optional
         Definition of ground.
@@ -43,14 +41,12 @@ class StemProposer:
 
     def __init__(
         self,
-        cloud: Float32,
-        origin: Float64,
-        voxel: float,
+        cloud: VoxelCloud,
         config: StemConfig | None = None,
         segmentation: SegmentationConfig | None = None,
     ) -> None:
         self.config = config or StemConfig()
-        self._cloud, self._origin, self._voxel = cloud, origin, voxel
+        self._cloud = cloud
         self._finder = StemFinder(self.config, segmentation)
         self._localizer: LandmarkLocalizer | None = None
 
@@ -79,10 +75,10 @@ class StemProposer:
         return Proposals(candidates, search.reason is None)
 
     def _stem_map(self) -> LandmarkMap:
-        stems = self._finder.find(self._cloud, spacing=self._voxel)
+        stems = self._finder.find(self._cloud.points, spacing=self._cloud.voxel)
         rows = _largest(stems, self.config.most)
         columns = stems.moved(np.eye(4))[rows]
-        positions = columns[:, :3] + self._origin
+        positions = columns[:, :3] + self._cloud.origin
         views = np.ones(len(rows), np.int64)
         return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, np.empty((0, 4, 4)))
 
