@@ -174,7 +174,8 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
     yield "VisibilityCheck.count", Call(_native.VisibilityCheck(**view).count, count)
     surface = {"points": points, "max_correspondence_distance": 1.0, "support": 1.0}
-    yield "Surface", Call(_native.normals, surface)
+    yield "normals", Call(_native.normals, surface)
+    yield "Surface", Call(lambda **a: len(_native.Surface(**a)), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
     on_plane = {"source": known, "T_target_source": eye, "least_slope": -1.0, "most_slope": 2.0}
@@ -359,6 +360,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "PointIndex.intrusion",
         "VisibilityCheck",
         "VisibilityCheck.count",
+        "normals",
         "Surface",
         "Surface.align",
         "Surface.on_plane",

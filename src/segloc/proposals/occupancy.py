@@ -419,14 +419,14 @@ def ground_of(
     ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
     cells = cells_of(cloud[:, :2], _GROUND_CELL_M)
     _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
-    where = (cells[first] + 0.5) * _GROUND_CELL_M
+    where: Float64 = (cells[first] + 0.5) * _GROUND_CELL_M
     if len(path) and len(cloud):
         distance, station = nearest_of(path[:, :2], where)
         floor = path[station, 2] - _sensor_height(cloud, path)
         ground = plausible_ground(ground, floor[which], distance[which])
     sums = np.bincount(which, weights=ground, minlength=len(first))
-    means: Float64 = sums / np.maximum(np.bincount(which, minlength=len(first)), 1)
-    return Ground(where, means), ground.astype(np.float32)
+    counts = np.maximum(np.bincount(which, minlength=len(first)), 1)
+    return Ground(where, sums / counts), ground.astype(np.float32)
 
 
 class Ground:
