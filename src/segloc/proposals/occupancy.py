@@ -419,7 +419,7 @@ def ground_of(
     ground = cloud[:, 2] - heights_above_ground(cloud, segmentation)
     cells = cells_of(cloud[:, :2], _GROUND_CELL_M)
     _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
-    where: Float64 = (cells[first] + 0.5) * _GROUND_CELL_M
+    where = (cells[first].astype(np.float64) + 0.5) * _GROUND_CELL_M
     if len(path) and len(cloud):
         distance, station = nearest_of(path[:, :2], where)
         floor = path[station, 2] - _sensor_height(cloud, path)
