@@ -31,7 +31,7 @@ _PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
 """Points by which shares are smoothed."""
 _CHANCE_OVERLAP = 0.25
 _CHANCE = {"flush": Count(40, 100), "ground": Count(80, 100), "seen": Count(50, 100)}
-"""Counts of a runner-up if there is none."""
+"""Counts of a runner-up if there is none; nor is its overlap or visibility taken to be lower."""
 _CHANCE_INLIERS = 4
 """Inliers of some wrong pose of any map."""
 _MAX_IN_VIEW = 3000
@@ -80,17 +80,19 @@ class Model(Section):
         ----------
         fit : Observation
         others : sequence of Observation
-            Fits at other places. Overlap and visibility are compared with the best of them, ground
-            and walls with the best of each.
+            Fits at other places. Overlap and visibility are compared with the best of them, or with
+            chance if that is higher: among places that do not fit at all, one that hardly fits is
+            no better for it. Ground and walls are compared with the best of each.
         inliers : int
             Most inliers of any pose at another place.
         unknown : Count
             Occupied free space, if it was not measured.
         """
-        overlap, seen = _CHANCE_OVERLAP, _CHANCE["seen"]
+        overlap, seen = share_odds(_CHANCE_OVERLAP), _chance("seen")
         if others:
-            rival = max(others, key=lambda o: share_odds(o.overlap) + _odds("seen", o.seen))
-            overlap, seen = rival.overlap, rival.seen
+            odds = ((share_odds(o.overlap), _odds("seen", o.seen)) for o in others)
+            best = max(odds, key=sum)
+            overlap, seen = max(overlap, best[0]), max(seen, best[1])
         ground = max((_odds("ground", o.ground) for o in others), default=_chance("ground"))
         flush = max((_odds("flush", o.flush) for o in others), default=_chance("flush"))
         return (
@@ -98,8 +100,8 @@ class Model(Section):
             _odds("flush", fit.flush),
             free_space(fit.intruding if fit.has("intruding") else unknown),
             inlier_ratio(fit.inliers, inliers),
-            share_odds(fit.overlap) - share_odds(overlap),
-            _odds("seen", fit.seen) - _odds("seen", seen),
+            share_odds(fit.overlap) - overlap,
+            _odds("seen", fit.seen) - seen,
             _odds("ground", fit.ground) - ground,
             _odds("flush", fit.flush) - flush,
         )
