@@ -5,6 +5,7 @@
 Both versions run in processes of their own, one scan after the other in turns, on one thread, and
 report the processor time of each stage, of whole queries that are found in a map or refused, and
 of building a map, aligning two sessions and driving on in a map with a query at every tenth scan.
+Stages of whole queries are timed by the wall in versions whose localizer takes no clock.
 ``--against`` is the interpreter of an environment that has the other version of segloc. Scans of
 ``--data`` are real where it has them, else simulated.
 """
