@@ -87,7 +87,7 @@ def measure(path: str) -> dict[str, float]:
 def in_map(path: Path) -> Callable[[str], dict[str, float]]:
     """What localizes a scan in a map, and times that."""
     clock = "clock" in inspect.signature(segloc.Localizer).parameters
-    given = {"clock": time.process_time} if clock else {}
+    given: dict[str, Any] = {"clock": time.process_time} if clock else {}
     localizer = segloc.Localizer(segloc.SegmentMap.load(path), CONFIG, **given)
 
     def localize(name: str) -> dict[str, float]:
