@@ -83,6 +83,7 @@ def walled(folder: Path) -> Path:
     folder.mkdir(parents=True)
     views.clouds().save(folder / "views-scan.npz")
     queries.clouds().save(folder / "queries.npz")
+    np.save(folder / "path.npy", views.clouds().poses)
     return folder
 
 
@@ -128,11 +129,11 @@ def test_a_peer_resumes_and_its_answers_are_tabled(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], verbs: None
 ) -> None:
     def evaluate(*more: str) -> str:
-        given = ("--sets", "park", "--peers", "branch-and-bound,open3d", "--out", str(tmp_path))
+        given = ("--sets", "town", "--peers", "branch-and-bound,open3d", "--out", str(tmp_path))
         app(["evaluate", "peers", *given, *more], standalone_mode=False)
         return capsys.readouterr().out
 
-    folder = walled(tmp_path / "park")
+    folder = walled(tmp_path / "town")
     nothing = tmp_path / "python"
     nothing.write_text("#!/bin/sh\nexit 1\n")
     nothing.chmod(0o755)
@@ -170,7 +171,7 @@ def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
         answers.give(q, T, value)
         answers.save(folder, "peer", q)
     queries.save(folder / "queries.npz")
-    queries.save(folder / "views-scan.npz")
+    np.save(folder / "path.npy", queries.poses)
     return queries
 
 
