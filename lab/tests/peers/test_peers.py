@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from segloc_lab.peers import branch_and_bound
+from segloc_lab.calibration.worlds import simulated
+from segloc_lab.peers import branch_and_bound, segloc_query
 from segloc_lab.peers.compare import close, confidence, score, scored, table
-from segloc_lab.peers.exchange import Answers, Clouds, Gathering
+from segloc_lab.peers.exchange import ELSEWHERE, Answers, Clouds, Gathering
+from segloc_lab.peers.export import export
 from segloc_lab.peers.scan_context import ScanContexts, sideways
+from segloc_lab.peers.sets import Group, Material, Set, far
 
 from segloc import geometry
+from segloc.batch import query_positions
 from segloc.cli import app
 
 SEARCH = branch_and_bound.Settings()
+NAMES = ("segloc", "published")
 
 
 def street(seed: int) -> NDArray[np.float32]:
@@ -159,6 +164,31 @@ def test_open3d_finds_the_pose(tmp_path: Path) -> None:
         Answers.load(folder / "answers-open3d.npz"),
     )
     assert close(answers.poses, queries.poses, 0.5, 2.0).all()
+
+
+@pytest.mark.parametrize("traits", [(), ("cloud",)])
+def test_a_set_is_exported_and_answered_by_segloc_and_as_published(
+    tmp_path: Path, traits: tuple[str, ...]
+) -> None:
+    world = simulated("town", 8, length_m=40.0)
+    drive = world.queries["hdl64e"]
+    at = query_positions(drive.truth, 15.0, 10.0)
+    here = Group(drive, at, drive.truth[at])
+    there = replace(here, truths=far(here.truths), name=ELSEWHERE)
+    made = Set("a town", lambda _: Material(world.mapped, [here, there]), traits=traits)
+    export(tmp_path, made, tmp_path, 1)
+    queries = Clouds.load(tmp_path / "queries.npz")
+    assert queries.within_coverage.tolist() == [True] * len(at) + [False] * len(at)
+    options = Namespace(
+        method="dsm", views=["long"], segments_alone=False, published=True, every=2, folders=[]
+    )
+    segloc_query.answer(tmp_path, options)
+    ours, published = (Answers.load(tmp_path / f"answers-{name}-dsm.npz") for name in NAMES)
+    asked = np.flatnonzero(ours.queried & queries.within_coverage)
+    assert ours.accepted[asked].all() and published.queried[asked].all()
+    for answers in (ours, published):
+        assert close(answers.poses[asked], queries.poses[asked], 0.5, 2.0).all()
+    assert not close(ours.poses, queries.poses, 3.0, 5.0)[~queries.within_coverage].any()
 
 
 def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
