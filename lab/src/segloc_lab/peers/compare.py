@@ -4,7 +4,8 @@
 
 A system without a decision of its own accepts a query's answer above a threshold that is chosen on
 other places, the queries outside of the query's square of the world: halfway between the highest
-score of a wrong answer and the next score of a right one above it.
+score of a wrong answer and the next score of a right one above it; without wrong answers, the
+lowest score of a right one.
 """
 
 from __future__ import annotations
@@ -166,10 +167,15 @@ def left_out(scores: Floats, wrong: Bools, right: Bools, places: NDArray[np.int6
 
 
 def threshold(wrong: Floats, right: Floats) -> float:
-    """Return a score between the highest wrong answer and the next right one above it."""
-    highest = float(wrong.max(initial=-math.inf))
+    """Return a score between the highest wrong answer and the next right one above it.
+
+    Without wrong answers it is just below the lowest right one: worse answers were never tried.
+    """
+    if not len(wrong):
+        return float(np.nextafter(right.min(initial=math.inf), -math.inf))
+    highest = float(wrong.max())
     above = right[right > highest]
-    return (highest + float(above.min())) / 2 if len(above) and len(wrong) else highest
+    return (highest + float(above.min())) / 2 if len(above) else highest
 
 
 def scored(folder: Path, systems: Collection[str] | None = None) -> Part:

@@ -95,7 +95,7 @@ PEERS = {
         "open3d",
         ("open3d",),
         (),
-        {"indoors": ("--voxel", "0.5", "--apart", "8")},
+        {"indoors": ("--voxel", "0.5", "--apart", "5")},
     ),
     "map-closures": Peer(
         "map_closures_query",
