@@ -60,6 +60,7 @@ def map_of(folder: Path, names: list[str], config: Config) -> SegmentMap:
         for i, T in enumerate(views.poses):
             scene = segmenter.segment(local_cloud(views, i, config))
             add_view(prior_map, View(T, float(i), scene), descriptor.describe(scene.segments))
+    prior_map.add_trajectory(np.load(folder / "path.npy"))
     return prior_map
 
 
