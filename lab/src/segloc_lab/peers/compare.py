@@ -284,6 +284,30 @@ def confidence(s: Score, place: Bools) -> tuple[float, float]:
     return float(f1.max()), float((np.diff(recall, prepend=0.0) * precision).sum())
 
 
+def overview(parts: Sequence[Part]) -> Table:
+    """Return one row per system, with what it found, answered falsely and took in each set."""
+    cells: dict[str, dict[str, str]] = {}
+    for part in parts:
+        inside = part.queries.within_coverage
+        ours = next((s for s in part.scores if s.system == OURS), None)
+        for s in part.scores:
+            false, spent = int(s.false.sum()), ms_a_right(s, inside)
+            rival = None if s.system.startswith("segloc-") else ours
+            fewer = rival is not None and false < rival.false.sum()
+            faster = rival is not None and spent < ms_a_right(rival, inside)
+            cell = [found(s, s.taken, part.queries), emphasised(f"{false} false", bool(fewer))]
+            if math.isfinite(spent):
+                cell.append(emphasised(f"{spent:.0f} ms", faster))
+            cells.setdefault(label(s.system), {})[part.name] = ", ".join(cell)
+    names = [part.name for part in parts]
+    rows = [(system, *map(row.get, names)) for system, row in cells.items()]
+    note = (
+        "Found of the queries within map coverage, false answers to all queries, and processor "
+        "time a right answer; columns, bold and thresholds as below."
+    )
+    return Table(("system", *names), rows, note, "All sets")
+
+
 def label(system: str) -> str:
     """Return the name of a system from that of its answers."""
     return LABELS.get(system, system.replace("segloc-", "segloc with "))
@@ -364,7 +388,8 @@ def tables(
     parts = [scored(folder, systems) for folder in folders]
     every = [each for part in parts for each in (table(part, missing), grouped(part)) if each]
     more = [transfer(parts), refusals(parts)]
-    return every + [each for each in more if each.rows]
+    first = [overview(parts)] if len(parts) > 1 else []
+    return first + every + [each for each in more if each.rows]
 
 
 def main() -> None:
