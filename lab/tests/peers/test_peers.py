@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from segloc_lab.calibration.worlds import simulated
 from segloc_lab.peers import branch_and_bound, segloc_query
-from segloc_lab.peers.compare import close, confidence, score, scored, table
+from segloc_lab.peers.compare import close, confidence, overview, score, scored, table
 from segloc_lab.peers.exchange import ELSEWHERE, Answers, Clouds, Gathering
 from segloc_lab.peers.export import export
 from segloc_lab.peers.scan_context import ScanContexts, sideways
@@ -215,6 +215,7 @@ def test_a_threshold_is_chosen_at_other_places(tmp_path: Path) -> None:
     (row,) = table(scored(tmp_path)).rows
     assert row[:5] == ("peer", 4, "0 of 4", "1 of 4", "1 of 4")
     assert row[5] == "1 of 4 (< 69.9 %)" and row[6] == "0 of 0"
+    assert overview([scored(tmp_path)]).rows == [("peer", "1 of 4, 1 false, 0 ms")]
 
 
 def test_confidence_is_rated_over_all_thresholds(tmp_path: Path) -> None:

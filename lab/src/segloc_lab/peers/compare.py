@@ -11,7 +11,7 @@ lowest score of a right one.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -211,13 +211,13 @@ COLUMNS = (
 )
 
 
-def table(part: Part, missing: Mapping[str, str] | None = None) -> Table:
+def table(part: Part, missing: Mapping[str, str] | None = None, note: str = NOTE) -> Table:
     """Return the table of a protocol; ``missing`` systems have a row that says why."""
     ours = next((s for s in part.scores if s.system == OURS), None)
     rows = [_row(s, part, ours) for s in part.scores]
     for system, why in (missing or {}).items():
         rows.append((label(system), why, *[None] * (len(COLUMNS) - 2)))
-    return Table(COLUMNS, rows, NOTE, part.name)
+    return Table(COLUMNS, rows, note, part.name)
 
 
 def _row(s: Score, part: Part, ours: Score | None) -> tuple[Cell, ...]:
@@ -285,8 +285,9 @@ def confidence(s: Score, place: Bools) -> tuple[float, float]:
 
 
 def overview(parts: Sequence[Part]) -> Table:
-    """Return one row per system, with what it found, answered falsely and took in each set."""
+    """Return one row per system with its result in each set; those that find most first."""
     cells: dict[str, dict[str, str]] = {}
+    shares: defaultdict[str, float] = defaultdict(float)
     for part in parts:
         inside = part.queries.within_coverage
         ours = next((s for s in part.scores if s.system == OURS), None)
@@ -298,9 +299,11 @@ def overview(parts: Sequence[Part]) -> Table:
             cell = [found(s, s.taken, part.queries), emphasised(f"{false} false", bool(fewer))]
             if math.isfinite(spent):
                 cell.append(emphasised(f"{spent:.0f} ms", faster))
-            cells.setdefault(label(s.system), {})[part.name] = ", ".join(cell)
+            cells.setdefault(s.system, {})[part.name] = ", ".join(cell)
+            place = s.answers.queried & inside
+            shares[s.system] -= (s.right[-1] & s.taken & place).sum() / max(place.sum(), 1)
     names = [part.name for part in parts]
-    rows = [(system, *map(row.get, names)) for system, row in cells.items()]
+    rows = [(label(s), *map(cells[s].get, names)) for s in sorted(cells, key=shares.__getitem__)]
     note = (
         "Found of the queries within map coverage, false answers to all queries, and processor "
         "time a right answer; columns, bold and thresholds as below."
@@ -386,7 +389,12 @@ def tables(
 ) -> list[Table]:
     """Return all tables of the protocols in these folders, of these or all systems."""
     parts = [scored(folder, systems) for folder in folders]
-    every = [each for part in parts for each in (table(part, missing), grouped(part)) if each]
+    every = [
+        each
+        for part in parts
+        for each in (table(part, missing, NOTE if part is parts[0] else ""), grouped(part))
+        if each
+    ]
     more = [transfer(parts), refusals(parts)]
     first = [overview(parts)] if len(parts) > 1 else []
     return first + every + [each for each in more if each.rows]
