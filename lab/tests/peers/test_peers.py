@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from segloc_lab.peers import branch_and_bound
-from segloc_lab.peers.compare import close, confidence, score, scored, table
-from segloc_lab.peers.exchange import Answers, Clouds, Gathering
+from segloc_lab.calibration.worlds import simulated
+from segloc_lab.peers import branch_and_bound, segloc_query
+from segloc_lab.peers.compare import close, confidence, overview, score, scored, table
+from segloc_lab.peers.exchange import ELSEWHERE, Answers, Clouds, Gathering
+from segloc_lab.peers.export import export
 from segloc_lab.peers.scan_context import ScanContexts, sideways
+from segloc_lab.peers.sets import Group, Material, Set, far
 
 from segloc import geometry
+from segloc.batch import query_positions
 from segloc.cli import app
 
 SEARCH = branch_and_bound.Settings()
+NAMES = ("segloc", "published")
 
 
 def street(seed: int) -> NDArray[np.float32]:
@@ -83,6 +88,7 @@ def walled(folder: Path) -> Path:
     folder.mkdir(parents=True)
     views.clouds().save(folder / "views-scan.npz")
     queries.clouds().save(folder / "queries.npz")
+    np.save(folder / "path.npy", views.clouds().poses)
     return folder
 
 
@@ -128,17 +134,18 @@ def test_a_peer_resumes_and_its_answers_are_tabled(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], verbs: None
 ) -> None:
     def evaluate(*more: str) -> str:
-        given = ("--sets", "park", "--peers", "branch-and-bound,open3d", "--out", str(tmp_path))
+        given = ("--sets", "town", "--peers", "branch-and-bound,open3d", "--out", str(tmp_path))
         app(["evaluate", "peers", *given, *more], standalone_mode=False)
         return capsys.readouterr().out
 
-    folder = walled(tmp_path / "park")
+    folder = walled(tmp_path / "town")
     nothing = tmp_path / "python"
     nothing.write_text("#!/bin/sh\nexit 1\n")
     nothing.chmod(0o755)
     printed = evaluate("--python", f"open3d={nothing}")
+    # Nothing is wrong at the other place: the lowest right score there is the threshold.
     assert (
-        "| 2D branch and bound, GICP | 2 | 2 of 2 | 2 of 2 | 2 of 2 | 0 of 2 (< 65.8 %) |"
+        "| 2D branch and bound, GICP | 2 | 1 of 2 | 1 of 2 | 1 of 2 | 0 of 2 (< 65.8 %) |"
         in printed
     )
     assert "| Open3D FPFH, RANSAC, ICP | not installed |" in printed
@@ -160,6 +167,31 @@ def test_open3d_finds_the_pose(tmp_path: Path) -> None:
     assert close(answers.poses, queries.poses, 0.5, 2.0).all()
 
 
+@pytest.mark.parametrize("traits", [(), ("cloud",)])
+def test_a_set_is_exported_and_answered_by_segloc_and_as_published(
+    tmp_path: Path, traits: tuple[str, ...]
+) -> None:
+    world = simulated("town", 8, length_m=40.0)
+    drive = world.queries["hdl64e"]
+    at = query_positions(drive.truth, 15.0, 10.0)
+    here = Group(drive, at, drive.truth[at])
+    there = replace(here, truths=far(here.truths), name=ELSEWHERE)
+    made = Set("a town", lambda _: Material(world.mapped, [here, there]), traits=traits)
+    export(tmp_path, made, tmp_path, 1)
+    queries = Clouds.load(tmp_path / "queries.npz")
+    assert queries.within_coverage.tolist() == [True] * len(at) + [False] * len(at)
+    options = Namespace(
+        method="dsm", views=["long"], segments_alone=False, published=True, every=2, folders=[]
+    )
+    segloc_query.answer(tmp_path, options)
+    ours, published = (Answers.load(tmp_path / f"answers-{name}-dsm.npz") for name in NAMES)
+    asked = np.flatnonzero(ours.queried & queries.within_coverage)
+    assert ours.accepted[asked].all() and published.queried[asked].all()
+    for answers in (ours, published):
+        assert close(answers.poses[asked], queries.poses[asked], 0.5, 2.0).all()
+    assert not close(ours.poses, queries.poses, 3.0, 5.0)[~queries.within_coverage].any()
+
+
 def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
     """Answers of a peer to a query at each of four places 100 m apart."""
     queries = places()
@@ -170,7 +202,7 @@ def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:
         answers.give(q, T, value)
         answers.save(folder, "peer", q)
     queries.save(folder / "queries.npz")
-    queries.save(folder / "views-scan.npz")
+    np.save(folder / "path.npy", queries.poses)
     return queries
 
 
@@ -183,6 +215,7 @@ def test_a_threshold_is_chosen_at_other_places(tmp_path: Path) -> None:
     (row,) = table(scored(tmp_path)).rows
     assert row[:5] == ("peer", 4, "0 of 4", "1 of 4", "1 of 4")
     assert row[5] == "1 of 4 (< 69.9 %)" and row[6] == "0 of 0"
+    assert overview([scored(tmp_path)]).rows == [("peer", "1 of 4, 1 false, 0 ms")]
 
 
 def test_confidence_is_rated_over_all_thresholds(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .compact import compacted as compacted
     from .config import DEFAULT_METHOD as DEFAULT_METHOD
     from .config import MappingConfig as MappingConfig
+    from .from_cloud import ThinCloud as ThinCloud
     from .segment_map import concatenated as concatenated
     from .segment_map import with_sessions as with_sessions
     from .voxel_cloud import VoxelCloud as VoxelCloud
@@ -26,6 +27,7 @@ else:
             "build": "View add_view build_merged_map empty_map map_views",
             "compact": "CompactConfig compacted",
             "config": "DEFAULT_METHOD MappingConfig",
+            "from_cloud": "ThinCloud",
             "segment_map": "concatenated with_sessions",
             "voxel_cloud": "VoxelCloud",
         },

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from segloc.cli.console import say
-from segloc.errors import DatasetError
 
 
 def register(app: typer.Typer) -> None:
@@ -19,23 +18,25 @@ def register(app: typer.Typer) -> None:
 def peers(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of sets and answers.")],
     data: Annotated[
-        Path | None, typer.Option(metavar="KITTI00", help="KITTI 00: keyframes, scans, poses.")
+        Path | None,
+        typer.Option(metavar="DATA", help="Folder of recordings: kitti00, vlp16_corridor, ..."),
     ] = None,
     sets: Annotated[
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Only these sets: accumulated, sparse, single (of KITTI 00), town, park.",
-            show_default="all; without --data the last two",
+            help="Only these sets: single, accumulated, kitti-cloud (KITTI 00), corridor, "
+            "corridor-cloud, lab, town, forest, warehouse, offices.",
+            show_default="all; without --data the last four",
         ),
     ] = None,
     peers: Annotated[
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Only these systems: segloc, segments (segloc by segments alone), a descriptor, "
-            "scan-context, branch-and-bound, kiss-matcher, open3d, map-closures.",
-            show_default="all, with dsm and esm",
+            help="Only these systems: segloc, segments (segloc by segments alone), a method of "
+            "the paper, scan-context, branch-and-bound, kiss-matcher, open3d, map-closures.",
+            show_default="all",
         ),
     ] = None,
     every: Annotated[
@@ -60,20 +61,19 @@ def peers(
     """
     from segloc.cli.results import check_folder
 
-    from ..peers.study import DEFAULT, PEERS, SETS, SIMULATED, Job, checked, interpreters
+    from ..peers.sets import SETS
+    from ..peers.study import PEERS, Job, checked, interpreters
     from ..report import publish, require_new
     from .evaluate import chosen
 
     require_new(report)
     check_folder(out)
-    if data is not None and not (data / "keyframes").is_dir():
-        raise DatasetError(f"{data / 'keyframes'}: no such folder; --data needs keyframes")
-    names = chosen(sets, "--sets") or (SIMULATED if data is None else SETS)
-    systems = chosen(peers, "--peers") or DEFAULT
+    names = chosen(sets, "--sets") or [n for n, s in SETS.items() if data or not s.needs]
+    systems = chosen(peers, "--peers") or tuple(PEERS)
     job = Job(
         out,
         data,
-        checked(names, SETS, "--sets"),
+        checked(names, tuple(SETS), "--sets"),
         checked(systems, tuple(PEERS), "--peers"),
         every,
         interpreters(python or ()),

@@ -3,14 +3,15 @@
     python -m segloc_lab.peers.compare OUT/single OUT/town --report FOLDER
 
 A system without a decision of its own accepts a query's answer above a threshold that is chosen on
-other places, the queries outside of the query's 100 m square: halfway between the highest score of
-a wrong answer and the next score of a right one above it.
+other places, the queries outside of the query's square of the world: halfway between the highest
+score of a wrong answer and the next score of a right one above it; without wrong answers, the
+lowest score of a right one.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..report import Cell, Table, publish, reporting, wilson
-from .exchange import Answers, Clouds
+from .exchange import ELSEWHERE, Answers, Clouds
 
 LABELS = {
     "segloc-profile": "segloc",
@@ -31,22 +32,37 @@ LABELS = {
     "map_closures": "map-closures",
     "open3d": "Open3D FPFH, RANSAC, ICP",
     "branch_and_bound": "2D branch and bound, GICP",
+    **{
+        f"{prefix}-{name}": text.format(title)
+        for name, title in (
+            ("segmatch-eigen", "SegMatch-Eigen"),
+            ("segmatch-esf", "SegMatch-ESF"),
+            ("nsm", "NSM"),
+            ("segmap", "SegMap"),
+            ("esm", "ESM"),
+            ("dsm", "DSM"),
+        )
+        for prefix, text in (("segloc", "segloc with {}"), ("published", "{} as published"))
+    },
 }
 """Systems by the names of their answers."""
 
 RIGHT = ((0.5, 2.0), (2.0, 5.0), (3.0, 5.0))
 """Errors up to which a pose counts as found [m, deg]; by the last it is right, or false."""
 
-SQUARE_M = 100.0
-"""Side of a place: a threshold for one is chosen on all others."""
+SQUARE_M, SQUARE_OF_MAP = 100.0, 0.25
+"""Side of a place [m], at most this share of the extent of the mapped path: a threshold for one is
+chosen on all others."""
 
-ELSEWHERE = "elsewhere"
+OURS = "segloc-profile"
 NOTE = (
     "Found: of the queries within map coverage, the answers accepted within these errors. False: "
     "accepted answers beyond 3 m or 5 degrees, of queries within map coverage and outside of it; "
     "in brackets the upper end of Wilson's 95 % interval. F1max and AUC (area under precision over "
     "recall) rate the confidence, over all thresholds. ms: processor time of a query on one core, "
-    "median / 95 %. MB per km: what the system keeps of the map, per kilometre of its path."
+    "median / 95 %; ms a right answer: that of all queries, refused ones too, divided by the right "
+    "answers that are accepted. MB per km: what the system keeps of the map, per kilometre of its "
+    "path. Bold: another system has fewer false answers than segloc, or less time a right answer."
 )
 
 Bools = NDArray[np.bool_]
@@ -84,6 +100,12 @@ class Score:
         found: Bools = answered(self.answers) & ~self.right[-1]
         return found
 
+    @property
+    def false(self) -> Bools:
+        """Wrong answers that are accepted."""
+        accepted: Bools = self.taken & self.wrong
+        return accepted
+
     def taken_above(self, threshold: float) -> Bools:
         """Return the answers that another threshold accepts; a decision of its own stands."""
         if self.decides:
@@ -107,15 +129,17 @@ def answered(answers: Answers) -> Bools:
     return given
 
 
-def score(path: Path, queries: Clouds) -> Score:
-    """Return how the system did whose answers lie in a file."""
+def score(path: Path, queries: Clouds, square_m: float = SQUARE_M) -> Score:
+    """Return how the system did whose answers lie in a file, with places of this size."""
     answers = Answers.load(path)
     given = answered(answers)
     right = np.stack([given & close(answers.poses, queries.poses, *each) for each in RIGHT])
     if answers.decides:
         taken = given & answers.accepted
     else:
-        thresholds = left_out(answers.scores, given & ~right[-1], right[-1], squares(queries))
+        thresholds = left_out(
+            answers.scores, given & ~right[-1], right[-1], squares(queries, square_m)
+        )
         taken = given & (answers.scores > thresholds)
     return Score(path.stem.removeprefix("answers-"), answers, right, taken)
 
@@ -129,9 +153,9 @@ def close(poses: Floats, truths: Floats, metres: float, degrees: float) -> Bools
     return right
 
 
-def squares(queries: Clouds) -> NDArray[np.int64]:
+def squares(queries: Clouds, side_m: float) -> NDArray[np.int64]:
     """Return the place of each query, a square of its world, (N,) int64."""
-    cells = np.floor(queries.poses[:, :2, 3] / SQUARE_M).astype(np.int64)
+    cells = np.floor(queries.poses[:, :2, 3] / side_m).astype(np.int64)
     keys = np.column_stack([cells, queries.group == ELSEWHERE])
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -143,10 +167,15 @@ def left_out(scores: Floats, wrong: Bools, right: Bools, places: NDArray[np.int6
 
 
 def threshold(wrong: Floats, right: Floats) -> float:
-    """Return a score between the highest wrong answer and the next right one above it."""
-    highest = float(wrong.max(initial=-math.inf))
+    """Return a score between the highest wrong answer and the next right one above it.
+
+    Without wrong answers it is just below the lowest right one: worse answers were never tried.
+    """
+    if not len(wrong):
+        return float(np.nextafter(right.min(initial=math.inf), -math.inf))
+    highest = float(wrong.max())
     above = right[right > highest]
-    return (highest + float(above.min())) / 2 if len(above) and len(wrong) else highest
+    return (highest + float(above.min())) / 2 if len(above) else highest
 
 
 def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
@@ -154,14 +183,16 @@ def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
     queries = Clouds.load(folder / "queries.npz")
     paths = {path.stem.removeprefix("answers-"): path for path in folder.glob("answers-*.npz")}
     kept = sorted(paths if systems is None else paths.keys() & systems)
-    scores = [score(paths[name], queries) for name in kept]
+    path = np.load(folder / "path.npy")
+    square_m = min(SQUARE_M, SQUARE_OF_MAP * float(np.ptp(path[:, :2, 3], axis=0).max()))
+    scores = [score(paths[name], queries, square_m) for name in kept]
     scores.sort(key=lambda s: -int((s.right[-1] & s.taken & queries.within_coverage).sum()))
-    return Part(folder.name, queries, scores, path_km(Clouds.load(folder / "views-scan.npz")))
+    return Part(folder.name, queries, scores, path_km(path))
 
 
-def path_km(views: Clouds) -> float:
+def path_km(poses: Floats) -> float:
     """Return the length of a mapped path without its gaps [km]."""
-    steps = np.linalg.norm(np.diff(views.poses[:, :3, 3], axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     return float(steps[steps < 10.0].sum()) / 1000
 
 
@@ -174,37 +205,59 @@ COLUMNS = (
     "F1max",
     "AUC",
     "ms",
+    "ms a right answer",
     "MB per km",
     "trained on",
 )
 
 
-def table(part: Part, missing: Mapping[str, str] | None = None) -> Table:
+def table(part: Part, missing: Mapping[str, str] | None = None, note: str = NOTE) -> Table:
     """Return the table of a protocol; ``missing`` systems have a row that says why."""
-    rows = [_row(s, part) for s in part.scores]
+    ours = next((s for s in part.scores if s.system == OURS), None)
+    rows = [_row(s, part, ours) for s in part.scores]
     for system, why in (missing or {}).items():
         rows.append((label(system), why, *[None] * (len(COLUMNS) - 2)))
-    return Table(COLUMNS, rows, NOTE, part.name)
+    return Table(COLUMNS, rows, note, part.name)
 
 
-def _row(s: Score, part: Part) -> tuple[Cell, ...]:
+def _row(s: Score, part: Part, ours: Score | None) -> tuple[Cell, ...]:
     inside, queried = part.queries.within_coverage, s.answers.queried
     place = queried & inside
     f1, auc = confidence(s, place)
     size = float(s.answers.map_bytes) / 1e6 / part.map_km if part.map_km else math.nan
-    ms = s.answers.ms[queried]
+    ms, spent = s.answers.ms[queried], ms_a_right(s, inside)
+    rival = ours if ours is not None and not s.system.startswith("segloc-") else None
+
+    def false(side: Bools) -> str:
+        fewer = rival is not None and (s.false & side).sum() < (rival.false & side).sum()
+        return emphasised(bounded(s.false & side, queried & side), fewer)
+
     return (
         label(s.system),
         int(queried.sum()),
         *(f"{int((right & s.taken & place).sum())} of {int(place.sum())}" for right in s.right),
-        bounded(s.taken & s.wrong & inside, place),
-        bounded(s.taken & s.wrong & ~inside, queried & ~inside),
+        false(inside),
+        false(~inside),
         round(f1, 3),
         round(auc, 3),
         f"{np.median(ms):.0f} / {np.percentile(ms, 95):.0f}" if len(ms) else None,
+        emphasised(f"{spent:.0f}", rival is not None and spent < ms_a_right(rival, inside))
+        if math.isfinite(spent)
+        else None,
         round(size, 1) if math.isfinite(size) else None,
         str(s.answers.trained),
     )
+
+
+def ms_a_right(s: Score, inside: Bools) -> float:
+    """Return the processor time of all queries over the right answers accepted [ms]."""
+    right = int((s.right[-1] & s.taken & inside).sum())
+    return float(s.answers.ms[s.answers.queried].sum()) / right if right else math.inf
+
+
+def emphasised(text: str, bold: bool) -> str:
+    """Format text in bold, or as it is."""
+    return f"**{text}**" if bold else text
 
 
 def bounded(false: Bools, trials: Bools) -> str:
@@ -229,6 +282,33 @@ def confidence(s: Score, place: Bools) -> tuple[float, float]:
     recall = found / max(int(place.sum()), 1)
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
     return float(f1.max()), float((np.diff(recall, prepend=0.0) * precision).sum())
+
+
+def overview(parts: Sequence[Part]) -> Table:
+    """Return one row per system with its result in each set; those that find most first."""
+    cells: dict[str, dict[str, str]] = {}
+    shares: defaultdict[str, float] = defaultdict(float)
+    for part in parts:
+        inside = part.queries.within_coverage
+        ours = next((s for s in part.scores if s.system == OURS), None)
+        for s in part.scores:
+            false, spent = int(s.false.sum()), ms_a_right(s, inside)
+            rival = None if s.system.startswith("segloc-") else ours
+            fewer = rival is not None and false < rival.false.sum()
+            faster = rival is not None and spent < ms_a_right(rival, inside)
+            cell = [found(s, s.taken, part.queries), emphasised(f"{false} false", bool(fewer))]
+            if math.isfinite(spent):
+                cell.append(emphasised(f"{spent:.0f} ms", faster))
+            cells.setdefault(s.system, {})[part.name] = ", ".join(cell)
+            place = s.answers.queried & inside
+            shares[s.system] -= (s.right[-1] & s.taken & place).sum() / max(place.sum(), 1)
+    names = [part.name for part in parts]
+    rows = [(label(s), *map(cells[s].get, names)) for s in sorted(cells, key=shares.__getitem__)]
+    note = (
+        "Found of the queries within map coverage, false answers to all queries, and processor "
+        "time a right answer; columns, bold and thresholds as below."
+    )
+    return Table(("system", *names), rows, note, "All sets")
 
 
 def label(system: str) -> str:
@@ -309,9 +389,15 @@ def tables(
 ) -> list[Table]:
     """Return all tables of the protocols in these folders, of these or all systems."""
     parts = [scored(folder, systems) for folder in folders]
-    every = [each for part in parts for each in (table(part, missing), grouped(part)) if each]
+    every = [
+        each
+        for part in parts
+        for each in (table(part, missing, NOTE if part is parts[0] else ""), grouped(part))
+        if each
+    ]
     more = [transfer(parts), refusals(parts)]
-    return every + [each for each in more if each.rows]
+    first = [overview(parts)] if len(parts) > 1 else []
+    return first + every + [each for each in more if each.rows]
 
 
 def main() -> None:

@@ -19,6 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+ELSEWHERE = "elsewhere"
+"""Group of the queries that were recorded at another place."""
+
 
 @dataclass
 class Clouds:

@@ -1,50 +1,81 @@
 """Write the queries of all systems, and the clouds that their maps are made of.
 
 Views of the map come in three lengths, and every system may take what suits it: ``long`` gathers
-the scans of 40 m around a pose, ``short`` those of 16 m, ``scan`` is a scan alone.
+the scans of 40 m around a pose, ``short`` those of 16 m, ``scan`` is a scan alone. The views of a
+finished cloud are what is visible in it from the viewpoints that segloc chooses on free ground; the
+cloud itself lies beside them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from segloc import geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
-from segloc.datasets import Recording
+from segloc import Config, SegmentMap, geometry
+from segloc.batch import distances_to_path
 from segloc.frontend import Accumulator, LocalCloudConfig, window
+from segloc.map import ThinCloud
 from segloc.system import kernels
-from segloc.types import Float64, LocalCloud
+from segloc.types import Float64, LocalCloud, Recording
 
 from .. import kitti00
 from ..protocols.accuracy import VOXEL_M, Reference
-from ..recordings import beside, has_room
-from ..simulation import (
-    SCENES,
-    Conditions,
-    Lidar,
-    Route,
-    SimulatedSequence,
-    World,
-    hdl64e,
-    simulate_session,
-)
-from ..simulation.drives import mapped_way
 from .exchange import Clouds, Gathering
+from .sets import Group, Set
 
 VIEWS_M = {"long": 40.0, "short": 16.0, "scan": 0.0}
 VIEW_EVERY_M = {"long": 8.0, "short": 8.0, "scan": 2.0}
 LOCAL = LocalCloudConfig(radius_m=80.0)
 THIN_M = 0.1
-OFFSETS_M = (0.0, 5.0, 10.0, 15.0)
-PATH_M, WORLD_M = 240.0, {"town": 260.0, "park": 240.0}
-CHANGED = Conditions(foliage=0.2, replaced=0.2, scaffolding=0.1)
 
-# --- maps and clouds ------------------------------------------------------------------------------
+
+class Cached:
+    """A recording that keeps the scans of a window in memory."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.name, self.indices, self.poses = recording.name, recording.indices, recording.poses
+        self.stamps = recording.stamps
+        self.scan = lru_cache(64)(recording.scan)
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+def export(folder: Path, chosen: Set, data: Path, every: int) -> None:
+    """Write a set: the views of its map, its path, and every N-th query."""
+    material = chosen.make(data)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = kitti00.poses_of(material.mapped)
+    if chosen.is_cloud:
+        write_cloud(material.mapped, folder, chosen.sensor_height_m)
+    else:
+        for name, length in VIEWS_M.items():
+            found = views(Cached(material.mapped), length, VIEW_EVERY_M[name])
+            found.save(folder / f"views-{name}.npz")
+    np.save(folder / "path.npy", path)
+    gathering = Gathering()
+    for group in material.groups:
+        add(gathering, group.thinned(every), path, material.coverage_m)
+    queries = gathering.clouds()
+    if material.is_approximate:
+        queries = aligned(queries, Clouds.load(folder / "views-scan.npz"))
+    queries.save(folder / "queries.npz")
+
+
+def add(found: Gathering, group: Group, path: Float64, coverage_m: float) -> None:
+    """Add the queries of a group, gathered ones in a level frame."""
+    near = distances_to_path(group.truths, path) <= coverage_m
+    recording = Cached(group.recording)
+    for i, truth, inside in zip(group.positions.tolist(), group.truths, near, strict=True):
+        if not group.gathered:
+            found.add(recording.scan(i).points, truth, 1, bool(inside), group.name)
+            continue
+        cloud = gathered(recording, i, VIEWS_M["long"], centred=False)
+        T_map_local = truth @ geometry.inverse(cloud.T_local_sensor)
+        found.add(cloud.points, T_map_local, cloud.num_scans, bool(inside), group.name)
 
 
 def gathered(recording: Recording, i: int, length_m: float, *, centred: bool) -> LocalCloud:
@@ -67,116 +98,30 @@ def views(recording: Recording, length_m: float, every_m: float) -> Clouds:
     return found.clouds()
 
 
-class Cached:
-    """A recording that keeps the scans of a window in memory."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.name, self.indices, self.poses = recording.name, recording.indices, recording.poses
-        self.stamps = recording.stamps
-        self.scan = lru_cache(64)(recording.scan)
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-
-def write_map(recording: Recording, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, length in VIEWS_M.items():
-        clouds = views(Cached(recording), length, VIEW_EVERY_M[name])
-        clouds.save(folder / f"views-{name}.npz")
-
-
-def add_accumulated(
-    found: Gathering, recording: Recording, positions: list[int], path: Float64, group: str = "all"
-) -> None:
-    """Queries of the 40 m behind a scan, in a level frame, as a robot has them."""
+def write_cloud(recording: Recording, folder: Path, sensor_height_m: float) -> None:
+    """Write all scans as one cloud, and the views from segloc's viewpoints in it."""
     poses = kitti00.poses_of(recording)
-    near = distances_to_path(poses, path) <= COVERAGE_RADIUS_M
-    for i in positions:
-        cloud = gathered(recording, i, VIEWS_M["long"], centred=False)
-        T_map_local = poses[i] @ geometry.inverse(cloud.T_local_sensor)
-        found.add(cloud.points, T_map_local, cloud.num_scans, bool(near[i]), group)
+    points = np.concatenate(
+        [geometry.transform(T, recording.scan(i).points) for i, T in enumerate(poses)]
+    )
+    np.savez(folder / "cloud.npz", points=points, sensor_height_m=sensor_height_m)
+    prior_map = SegmentMap.from_cloud(points, Config(threads=1), sensor_height=sensor_height_m)
+    cloud, found = ThinCloud.of(points), Gathering()
+    for T in prior_map.trajectory:
+        eye, seen = cloud.seen_from(T[:3, 3] - cloud.origin, LOCAL.radius_m)
+        found.add(seen - eye.astype(np.float32), T, 2)
+    found.clouds().save(folder / "views-scan.npz")
 
 
-# --- the protocols on real scans ------------------------------------------------------------------
-
-
-def kitti(data: Path, folder: Path, protocol: str, every: int) -> None:
-    """One of the three protocols of KITTI 00 (see ``protocols/kitti00.sh``).
-
-    Its ground truth agrees from pass to pass to about a metre only: queries within map coverage are
-    aligned with the map (see ``protocols/accuracy.py``) where two starts end at the same pose.
-    """
-    prior_map = kitti00.mapped(data, protocol)
-    queries = kitti00.query_set(data, protocol, every)
-    path, truths, found = kitti00.poses_of(prior_map), queries.truths, Gathering()
-    assert truths is not None
-    if protocol == "accumulated":
-        add_accumulated(found, Cached(queries.recording), queries.positions.tolist(), path)
-    else:
-        near = distances_to_path(truths, path) <= COVERAGE_RADIUS_M
-        for i, truth, inside in zip(queries.positions.tolist(), truths, near, strict=True):
-            found.add(queries.recording.scan(i).points, truth, 1, bool(inside))
-    write_map(prior_map, folder)
-    registered(found.clouds(), Clouds.load(folder / "views-scan.npz")).save(folder / "queries.npz")
-
-
-def registered(queries: Clouds, views: Clouds) -> Clouds:
-    """Return the queries with poses aligned with the map that the views make up."""
+def aligned(queries: Clouds, views: Clouds) -> Clouds:
+    """Return the queries with poses aligned with the map where two starts end at one pose."""
     origin = views.poses[0, :3, 3]
     parts = [geometry.transform(T, views[i]) - origin for i, T in enumerate(views.poses)]
     cloud = kernels.voxel_grid(np.concatenate(parts).astype(np.float32), VOXEL_M)
     reference = Reference(cloud, origin)
     poses = queries.poses.copy()
     for q in np.flatnonzero(queries.within_coverage).tolist():
-        aligned = reference.pose(queries[q], poses[q])
-        if aligned is not None:
-            poses[q] = aligned
+        T = reference.pose(queries[q], poses[q])
+        if T is not None:
+            poses[q] = T
     return replace(queries, poses=poses)
-
-
-# --- the protocols on simulated scans -------------------------------------------------------------
-
-
-def add_scans(found: Gathering, drive: SimulatedSequence, every: int, group: str) -> None:
-    """Queries of a single scan without its pose, wherever there is room for a sensor."""
-    for i in range(every // 2, len(drive), every):
-        scan = drive.scan(i)
-        if has_room(scan, drive.sensor.mount_height_m):
-            found.add(
-                scan.points, drive.truth[i], within_coverage=group != "elsewhere", group=group
-            )
-
-
-def simulated(folder: Path, scene: str, every: int, seed: int = 8000) -> None:
-    """A simulated world mapped, then seen from beside, in the opposite direction, and changed."""
-    paths = []
-    for number in (seed, seed + 1000):
-        world = SCENES[scene](number, size_m=WORLD_M[scene])
-        paths.append((world, tuple(mapped_way(world, np.random.default_rng([number, 31]), PATH_M))))
-    (here, there), lidar = paths, hdl64e(900)
-    prior_map = drive_along(here, 0, lidar, seed, Conditions())
-    again = drive_along(here, 1, lidar, seed, Conditions(replaced=0.1))
-    write_map(prior_map, folder)
-    found = Gathering()
-    for offset, side in offsets():
-        add_scans(found, beside(again, again.truth, side), every, f"{offset:g} m beside")
-    add_scans(found, beside(again, again.truth, 3.0, turned=True), every, "opposite direction")
-    later = drive_along(here, 2, lidar, seed, CHANGED)
-    add_scans(found, later, every, "changed")
-    add_scans(found, drive_along(there, 0, lidar, seed, Conditions()), every // 4, "elsewhere")
-    found.clouds().save(folder / "queries.npz")
-
-
-def offsets() -> Iterator[tuple[float, float]]:
-    for offset in OFFSETS_M:
-        for side in sorted({offset, -offset}):
-            yield offset, side
-
-
-def drive_along(
-    path: tuple[World, tuple[int, ...]], session: int, lidar: Lidar, seed: int, now: Conditions
-) -> SimulatedSequence:
-    world, junctions = path
-    route = Route(junctions, 1.1 if session == 0 else 0.3, length_m=PATH_M)
-    return simulate_session(world, session, route, lidar, seed, conditions=now)

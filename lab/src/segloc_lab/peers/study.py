@@ -15,15 +15,10 @@ from pathlib import Path
 
 from segloc.errors import ConfigError, DatasetError, SeglocError
 
-from ..evaluation.comparison import METHODS
-from ..kitti00 import PROTOCOLS
 from ..report import Table
-from . import compare, export
-
-SIMULATED = tuple(export.WORLD_M)
-SETS = (*PROTOCOLS, *SIMULATED)
-STEP = 8
-"""Simulated scans between two queries."""
+from . import compare
+from .export import export
+from .sets import SETS
 
 SIDEWAYS = ("--shifts", "-15", "-10", "-5", "0", "5", "10", "15")
 _SRC = Path(__file__).resolve().parents[2]
@@ -43,51 +38,73 @@ class Peer:
         Names of its answers.
     settings : tuple of str
         Options.
-    by_set : dict of str to tuple of str
-        More options, by the set that they suit.
+    by_trait : dict of str to tuple of str
+        More options, by the trait of the sets that they suit.
     """
 
     module: str
     package: str
     answers: tuple[str, ...]
     settings: tuple[str, ...] = ()
-    by_set: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    by_trait: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def arguments(self, name: str) -> tuple[str, ...]:
-        """Return the options for a set."""
-        return (*self.settings, *self.by_set.get(name, ()))
-
-
-def _segloc(method: str, *more: str) -> Peer:
-    name = f"segloc-{method}{'-alone' if more else ''}"
-    return Peer("segloc_query", "segloc", (name,), ("--method", method, *more))
+    def arguments(self, traits: Sequence[str]) -> tuple[str, ...]:
+        """Return the options for a set; the last of its traits counts."""
+        return (*self.settings, *(each for t in traits for each in self.by_trait.get(t, ())))
 
 
-_PLACES = {"accumulated": ("--views", "long"), **dict.fromkeys(SIMULATED, SIDEWAYS)}
-_SHORT = {"accumulated": ("--views", "long"), **dict.fromkeys(SETS[1:], ("--views", "short"))}
+def _segloc(*more: str) -> Peer:
+    name = f"segloc-profile{'-alone' if more else ''}"
+    return Peer("segloc_query", "segloc", (name,), more)
+
+
+def _method(name: str) -> Peer:
+    answers = (f"segloc-{name}", f"published-{name}")
+    return Peer("segloc_query", "segloc", answers, ("--method", name, "--published"))
+
+
+PAPER = ("segmatch-eigen", "segmatch-esf", "nsm", "segmap", "esm", "dsm")
+"""Methods that are compared as published, and as descriptors of segloc."""
+
+_LONG, _SCAN = ("--views", "long"), ("--views", "scan")
+_CONTEXTS = {"gathered": _LONG, "beside": SIDEWAYS, "indoors": ("--radius", "50")}
 
 PEERS = {
-    "segloc": _segloc("profile"),
-    "segments": _segloc("profile", "--segments-alone"),
-    **{name: _segloc(name) for name in METHODS if name != "profile"},
+    "segloc": _segloc(),
+    "segments": _segloc("--segments-alone"),
+    **{name: _method(name) for name in PAPER},
     "scan-context": Peer(
-        "scan_context", "small_gicp", ("scan_context", "scan_context-alone"), (), _PLACES
+        "scan_context", "small_gicp", ("scan_context", "scan_context-alone"), (), _CONTEXTS
     ),
-    "branch-and-bound": Peer("branch_and_bound", "small_gicp", ("branch_and_bound",)),
+    "branch-and-bound": Peer(
+        "branch_and_bound",
+        "small_gicp",
+        ("branch_and_bound",),
+        (),
+        {"indoors": ("--cell", "0.25")},
+    ),
     "kiss-matcher": Peer(
         "kiss_matcher_query",
         "kiss_matcher",
         ("kiss_matcher", "kiss_matcher-inliers"),
         (),
-        _PLACES,
+        {**_CONTEXTS, "indoors": ("--radius", "50", "--voxel", "0.3")},
     ),
-    "open3d": Peer("open3d_query", "open3d", ("open3d",)),
-    "map-closures": Peer("map_closures_query", "map_closures", ("map_closures",), (), _SHORT),
+    "open3d": Peer(
+        "open3d_query",
+        "open3d",
+        ("open3d",),
+        (),
+        {"indoors": ("--voxel", "0.5", "--apart", "5")},
+    ),
+    "map-closures": Peer(
+        "map_closures_query",
+        "map_closures",
+        ("map_closures",),
+        ("--views", "short"),
+        {"gathered": _LONG, "cloud": _SCAN},
+    ),
 }
-DEFAULT = (
-    *("segloc", "segments", "dsm", "esm", "scan-context", "branch-and-bound"),
-    *("kiss-matcher", "open3d", "map-closures"),
-)
 
 
 def checked(names: Sequence[str], known: Sequence[str], option: str) -> tuple[str, ...]:
@@ -118,7 +135,7 @@ class Job:
     out : Path
         Folder of sets and answers.
     data : Path or None
-        KITTI 00.
+        Folder of recordings.
     every : int
         Every N-th query of each set.
     pythons : dict of str to str
@@ -142,8 +159,10 @@ class Job:
     def run(self) -> list[Table]:
         """Export what is missing, have all systems answer, and return the tables."""
         for name in self.sets:
-            if self.data is None and name in PROTOCOLS and not self._is_exported(name):
-                raise DatasetError(f"set {name}: no recording; pass --data KITTI00")
+            needs = SETS[name].needs
+            if needs and not self._is_exported(name) and not self._has(needs):
+                where = "pass --data DATA" if self.data is None else f"{self.data} has none"
+                raise DatasetError(f"set {name}: no folder {needs} of recordings; {where}")
         python = {name: self.pythons.get(name, sys.executable) for name in self.peers}
         missing = {name for name in self.peers if not has(python[name], PEERS[name].package)}
         for name in self.sets:
@@ -162,19 +181,21 @@ class Job:
     def _is_exported(self, name: str) -> bool:
         return (self.folder(name) / "queries.npz").is_file()
 
+    def _has(self, folder: str) -> bool:
+        return self.data is not None and (self.data / folder).is_dir()
+
     def _export(self, name: str) -> None:
-        if self._is_exported(name):
-            return
-        self.say(f"exporting {name}")
-        if name in SIMULATED:
-            export.simulated(self.folder(name), name, STEP * self.every)
-        elif self.data is not None:
-            export.kitti(self.data, self.folder(name), name, self.every)
+        if not self._is_exported(name):
+            self.say(f"exporting {name}")
+            export(self.folder(name), SETS[name], self.data or Path(), self.every)
 
     def _answer(self, peer: Peer, python: str, name: str) -> None:
         command = [python, "-m", f"segloc_lab.peers.{peer.module}", str(self.folder(name))]
         done = subprocess.run(
-            [*command, *peer.arguments(name)], env=environment(), capture_output=True, text=True
+            [*command, *peer.arguments(SETS[name].traits)],
+            env=environment(),
+            capture_output=True,
+            text=True,
         )
         if done.returncode:
             last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]

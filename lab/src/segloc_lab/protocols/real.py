@@ -70,11 +70,11 @@ def sources(data: Path) -> dict[str, Recording]:
     """What is mapped: every place, or every session."""
     kitti = data / "kitti00"
     found: dict[str, Recording] = {
-        "corridor, out": _corridor(data, OUT),
+        "corridor, out": corridor(data, OUT),
         "kitti, first half": kitti00.mapped(kitti, "sparse"),
         "kitti, later passes": kitti00.mapped(kitti, "single"),
     }
-    return found | {f"lab, {s}": _lab(data, s) for s in LAB}
+    return found | {f"lab, {s}": lab(data, s) for s in LAB}
 
 
 def maps(mapped: dict[str, Recording], config: Config) -> dict[str, SegmentMap]:
@@ -82,32 +82,35 @@ def maps(mapped: dict[str, Recording], config: Config) -> dict[str, SegmentMap]:
     return {name: build_map(source, config) for name, source in mapped.items()}
 
 
-def _corridor(data: Path, select: str, posed: bool = True) -> Recording:
+def corridor(data: Path, select: str, posed: bool = True) -> Recording:
+    """Open some scans of the corridor, with or without their poses."""
     folder = data / "vlp16_corridor"
     return open_sequence(folder / "scans", folder / "poses.tum" if posed else NO_POSES, select)
 
 
-def _lab(data: Path, session: str, posed: bool = True) -> Recording:
+def lab(data: Path, session: str, posed: bool = True) -> Recording:
+    """Open a session of the lab, with or without its poses."""
     folder = data / "mid360_lab" / session
     return open_sequence(folder / "scans", folder / "poses.tum" if posed else NO_POSES)
 
 
 def queries(data: Path, step: int) -> Iterator[Queries]:
     """Return all queries, first those of a level sensor; ``step`` thins those of KITTI."""
-    yield from _corridor_queries(data)
-    yield from _lab_queries(data)
-    yield from _kitti_queries(data / "kitti00", step)
+    yield from corridor_queries(data)
+    yield from lab_queries(data)
+    yield from kitti_queries(data / "kitti00", step)
     starts = Files(data / "kitti_starts")
     everyone = np.arange(len(starts), dtype=np.int64)
     yield Queries("starts of other drives", starts, everyone, None, ())
     yield Queries("starts of other drives, turned", Turned(starts, 25.0), everyone, None, ())
 
 
-def _corridor_queries(data: Path) -> Iterator[Queries]:
-    back = _corridor(data, BACK)
+def corridor_queries(data: Path) -> Iterator[Queries]:
+    """Yield the scans of the way back, gathered, single and turned."""
+    back = corridor(data, BACK)
     truths, here = kitti00.poses_of(back), ("corridor, out",)
     positions = np.arange(len(back), dtype=np.int64)
-    alone = _corridor(data, BACK, posed=False)
+    alone = corridor(data, BACK, posed=False)
     yield Queries("corridor, accumulated", back, positions, truths, here)
     yield Queries("corridor, single", alone, positions, truths, here)
     for seed in range(3):
@@ -117,10 +120,11 @@ def _corridor_queries(data: Path) -> Iterator[Queries]:
         )
 
 
-def _lab_queries(data: Path) -> Iterator[Queries]:
+def lab_queries(data: Path) -> Iterator[Queries]:
+    """Yield the scans of each session, single and turned."""
     for session in LAB:
-        alone = _lab(data, session, posed=False)
-        truths = kitti00.poses_of(_lab(data, session))
+        alone = lab(data, session, posed=False)
+        truths = kitti00.poses_of(lab(data, session))
         positions = np.arange(len(alone), dtype=np.int64)
         others = tuple(f"lab, {s}" for s in LAB if s != session)
         yield Queries(f"lab {session}, single", alone, positions, truths, others)
@@ -130,7 +134,8 @@ def _lab_queries(data: Path) -> Iterator[Queries]:
         )
 
 
-def _kitti_queries(kitti: Path, step: int) -> Iterator[Queries]:
+def kitti_queries(kitti: Path, step: int) -> Iterator[Queries]:
+    """Yield the queries of each protocol of KITTI 00, and turned and thinned ones."""
     for name, p in kitti00.PROTOCOLS.items():
         chosen = kitti00.query_set(kitti, name, step)
         truths = chosen.truths
