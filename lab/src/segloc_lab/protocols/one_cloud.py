@@ -49,7 +49,7 @@ SPARSE_M = 0.3
 UTM_TEXT, UTM = "UTM", np.array([500_000.0, 5_400_000.0, 300.0])
 STEP = 2
 """Every STEP-th query of KITTI is localized."""
-MAX_FOREIGN, MAX_MIRRORED = 48, 150
+MAX_FOREIGN, MAX_MIRRORED = 119, 150
 """Most queries of one set in each map of another place, and in each mirror image of their own."""
 
 
