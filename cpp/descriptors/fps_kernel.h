@@ -267,7 +267,7 @@ class Boxes {
     for (size_t g = kWidth; g < padded_; g += kWidth) most = max(most, load(farthest_ + g));
     return reduce_max(most);
   }
-  // Calls visit(group) for the groups that have a point so far away.
+  // Calls visit(group) for the groups whose farthest point is at this distance.
   template <typename Visit>
   void each_at(float distance, Visit&& visit) const {
     const Vec target = broadcast(distance);

@@ -51,7 +51,7 @@ class Surface {
   // Packed normals of points that follow one another; 0: not yet found.
   static constexpr std::size_t kBlock = 256;
   using Block = std::array<std::atomic<std::uint64_t>, kBlock>;
-  // Blocks exist where a normal was asked for.
+  // Blocks are allocated when one of their normals is first requested.
   class Blocks {
    public:
     explicit Blocks(std::size_t points) : blocks_((points + kBlock - 1) / kBlock) {}

@@ -165,6 +165,14 @@ class Stored:
         raise NotImplementedError
 
 
+Part = Array | Stored
+
+
+def array_of(part: Part) -> Array:
+    """Return an array, unpacked if it is stored in few bytes."""
+    return part.array() if isinstance(part, Stored) else part
+
+
 class StoredCloud(Stored):
     """Points (N, 3) float32 as an octree."""
 

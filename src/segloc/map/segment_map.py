@@ -17,13 +17,12 @@ from ..system.above import from_above
 from ..system.section import Section
 from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile
-from .coding import Stored
+from .coding import Part, Stored
 from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .segment_table import (
     SEGMENT_DTYPES,
     Array,
-    Part,
     SegmentTable,
     bytes_of,
     checked,

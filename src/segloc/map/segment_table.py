@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
 from ..types import Descriptors, Float32, Float64
-from .coding import Coded, Stored
+from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault
 
 Array = NDArray[Any]
@@ -27,12 +27,9 @@ SEGMENT_DTYPES: dict[str, Any] = {
 }
 
 
-Part = Array | Stored
-
-
 def joined(parts: list[Part]) -> Array:
     """Join the parts into one array, which replaces them in the list if there are several."""
-    arrays = [part.array() if isinstance(part, Stored) else part for part in parts]
+    arrays = [array_of(part) for part in parts]
     if len(arrays) > 1:
         arrays = [np.concatenate(arrays)]
         parts[:] = arrays

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .._native import central_points
 from ..errors import SeglocError
 from ..types import Float32, Float64
-from .coding import Stored
+from .coding import Stored, array_of
 from .contents import MAX_VOXELS, relative_fault
 
 _MIN_PENDING = 1 << 18
@@ -70,7 +70,7 @@ class VoxelCloud:
     def points(self) -> Float32:
         """The (N, 3) float32 points relative to the origin, ordered by voxel."""
         self._consolidate()
-        return self._array
+        return array_of(self._thinned)
 
     def __len__(self) -> int:
         self._consolidate()
@@ -82,11 +82,6 @@ class VoxelCloud:
         self._consolidate()
         return self._thinned.nbytes
 
-    @property
-    def _array(self) -> Float32:
-        thinned = self._thinned
-        return thinned.array() if isinstance(thinned, Stored) else thinned
-
     def moved_to(self, origin: Float64, voxel: float) -> VoxelCloud:
         """Return the points relative to another origin, on another grid."""
         if voxel == self.voxel and np.array_equal(origin, self.origin):
@@ -97,7 +92,7 @@ class VoxelCloud:
 
     def _consolidate(self) -> None:
         if self._pending:
-            together = np.concatenate([self._array, *self._pending])
+            together = np.concatenate([array_of(self._thinned), *self._pending])
             self._thinned = thin(together, self.origin, self.voxel)
             self._pending, self._pending_count = [], 0
 

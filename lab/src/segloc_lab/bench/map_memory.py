@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import os
 from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localizer, Scan, SegmentMap
+from segloc import Config, Localizer, Scan, SegmentMap, geometry
 from segloc.io import read_scan
 
 from ..report import Cell, Table, publish, reporting
+from ..stages import held_mb
 from .harness import in_process
 
 COLUMNS = ("map", "segments", "km", "file MB", "loaded MB", "indices", "queries", "MB", "MB a km")
@@ -26,11 +26,11 @@ _QUERIES = 20
 
 
 def resident_mb() -> float:
-    """Return the resident memory of this process, without what the allocator keeps."""
+    """Return the resident memory of this process, without what the allocator keeps, in 1e6 bytes
+    as files are."""
     gc.collect()
     ctypes.CDLL("libc.so.6").malloc_trim(0)
-    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return held_mb() * 2**20 / 1e6
 
 
 def measured(path: Path, scans: list[Path]) -> tuple[Cell, ...]:
@@ -45,8 +45,8 @@ def measured(path: Path, scans: list[Path]) -> tuple[Cell, ...]:
     for query in queries:
         localizer.localize(query)
     marks.append(resident_mb())
-    steps = np.diff(prior_map.trajectory[:, :3, 3], axis=0)
-    km = float(np.linalg.norm(steps, axis=1).sum()) / 1000.0
+    poses = prior_map.trajectory
+    km = float(geometry.travelled(poses)[-1]) / 1e3 if len(poses) else 0.0
     total = marks[-1] - marks[0]
     parts = (f"{mb:.1f}" for mb in np.diff(marks))
     size = f"{path.stat().st_size / 1e6:.1f}"

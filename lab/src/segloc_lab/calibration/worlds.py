@@ -285,7 +285,7 @@ def write_world(world: SimulatedWorld, folder: Path, config: Config) -> None:
 def generated(folder: Path) -> list[Path]:
     """List the folders of complete worlds, by seed."""
     found = [p for p in folder.iterdir() if (p / "queries.npz").exists() and p.suffix != ".part"]
-    return sorted(found, key=lambda path: int(path.name.rsplit("-", 1)[1]))
+    return sorted(found, key=seed_of)
 
 
 def kind_of(world: Path | str) -> str:
@@ -293,11 +293,16 @@ def kind_of(world: Path | str) -> str:
     return Path(world).name.rsplit("-", 1)[0]
 
 
+def seed_of(world: Path) -> int:
+    """Return the seed of a world by the name of its folder."""
+    return int(world.name.rsplit("-", 1)[1])
+
+
 def generate(folder: Path) -> float:
     """Make the world of a folder ``KIND-SEED``; return the processor time [s]."""
     config = Config.preset("profile").model_copy(update={"threads": 1})
     start = time.process_time()
-    write_world(simulated(kind_of(folder), int(folder.name.rsplit("-", 1)[1])), folder, config)
+    write_world(simulated(kind_of(folder), seed_of(folder)), folder, config)
     return time.process_time() - start
 
 

@@ -213,20 +213,25 @@ COLUMNS = (
 
 def table(part: Part, missing: Mapping[str, str] | None = None, note: str = NOTE) -> Table:
     """Return the table of a protocol; ``missing`` systems have a row that says why."""
-    ours = next((s for s in part.scores if s.system == OURS), None)
-    rows = [_row(s, part, ours) for s in part.scores]
+    rows = [_row(s, part) for s in part.scores]
     for system, why in (missing or {}).items():
         rows.append((label(system), why, *[None] * (len(COLUMNS) - 2)))
     return Table(COLUMNS, rows, note, part.name)
 
 
-def _row(s: Score, part: Part, ours: Score | None) -> tuple[Cell, ...]:
+def rival_of(s: Score, part: Part) -> Score | None:
+    """Return segloc's own score if the system is another one."""
+    ours = next((each for each in part.scores if each.system == OURS), None)
+    return None if s.system.startswith("segloc-") else ours
+
+
+def _row(s: Score, part: Part) -> tuple[Cell, ...]:
     inside, queried = part.queries.within_coverage, s.answers.queried
     place = queried & inside
     f1, auc = confidence(s, place)
     size = float(s.answers.map_bytes) / 1e6 / part.map_km if part.map_km else math.nan
     ms, spent = s.answers.ms[queried], ms_a_right(s, inside)
-    rival = ours if ours is not None and not s.system.startswith("segloc-") else None
+    rival = rival_of(s, part)
 
     def false(side: Bools) -> str:
         fewer = rival is not None and (s.false & side).sum() < (rival.false & side).sum()
@@ -290,10 +295,9 @@ def overview(parts: Sequence[Part]) -> Table:
     shares: defaultdict[str, float] = defaultdict(float)
     for part in parts:
         inside = part.queries.within_coverage
-        ours = next((s for s in part.scores if s.system == OURS), None)
         for s in part.scores:
             false, spent = int(s.false.sum()), ms_a_right(s, inside)
-            rival = None if s.system.startswith("segloc-") else ours
+            rival = rival_of(s, part)
             fewer = rival is not None and false < rival.false.sum()
             faster = rival is not None and spent < ms_a_right(rival, inside)
             cell = [found(s, s.taken, part.queries), emphasised(f"{false} false", bool(fewer))]

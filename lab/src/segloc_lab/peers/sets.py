@@ -282,9 +282,9 @@ SETS = {
     "town": Set("a simulated town, beside and changed", town, None, ("beside",)),
     "forest": Set("a simulated forest", partial(world, "forest", WORLD_SEED)),
     "warehouse": Set(
-        "a simulated warehouse", partial(world, "warehouse", 65_000), None, ("indoors",)
+        "a simulated warehouse", partial(world, "warehouse", WORLD_SEED), None, ("indoors",)
     ),
     "offices": Set(
-        "a simulated office floor", partial(world, "offices", 65_000), None, ("indoors",)
+        "a simulated office floor", partial(world, "offices", WORLD_SEED), None, ("indoors",)
     ),
 }

@@ -25,13 +25,12 @@ from rich.progress import track
 from segloc import Config, Localizer, SegmentMap
 from segloc.system.processes import in_parallel
 
+from ..calibration.judge import RIGHT_M
 from ..calibration.rows import errors
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
 from ..report import Cell, Table, entries, keep, publish, resumed, wilson
 
-RIGHT_M = 2.0
-"""Error from which an answer is false [m]."""
 HOME = ("own", "half")
 MIRRORED = " mirrored"
 """Suffix of the names of mirror images."""
@@ -76,7 +75,7 @@ class Part:
 
 
 def parts(worlds: list[Path], seed: int = 0) -> list[Part]:
-    """List all parts: first those of own maps, then those of others, in random order."""
+    """List the parts of own maps, then those of other maps in random order."""
     rng = random.Random(seed)
     home, away = [Part(world, ()) for world in worlds], []
     for world in worlds:
