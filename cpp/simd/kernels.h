@@ -127,6 +127,10 @@ struct VoteLattice {
 // A cell of the table holds its votes, and above them a mark of who voted last.
 static constexpr uint16_t kVotes = 0xff;
 
+// A window in the low bits, a bound of its votes above them.
+static constexpr int kSlotBits = 24;
+static constexpr uint32_t kSlotMask = (1u << kSlotBits) - 1;
+
 // One point of an X-conv layer in training. rows is K padded to 4, width the channels and lanes K,
 // both padded to 16; whatever is padded is zero. x (rows, rows), f and t (rows, width), depthwise
 // (depth, rows, width), output (depth, width): the result, or the gradient that comes in.
@@ -238,11 +242,15 @@ struct Kernels {
   // The cell that each match votes for.
   void (*vote_cells)(const MatchArrays& f, size_t count, const VoteLattice& lattice,
                      uint32_t* cells);
-  // Writes the windows with at least `fewest` votes, clears the table, and returns how many there
-  // are. The window of a cell are the two by two cells that end with it, across the edges of the
+  // Writes the windows with at least `fewest` votes, with these; clears the table, and returns how
+  // many there are. The window of a cell are the two by two cells that end with it, across the edges of the
   // table. A multiple of 32 columns; the value before the table may be read.
   size_t (*full_windows)(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
                          uint32_t* found);
+  // Writes the matches whose cell has its bit set, and returns how many there are. Has room for all
+  // of them and a vector's width.
+  size_t (*matches_inside)(const uint32_t* cells, size_t count, const uint32_t* wanted,
+                           uint32_t* inside);
   // Adds to the sum of each window how many of the slices it holds: bytes, in runs that begin at
   // `places` of the image.
   void (*add_slices)(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,

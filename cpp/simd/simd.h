@@ -48,6 +48,14 @@ inline Vec fma(Vec a, Vec b, Vec c) { return _mm512_fmadd_ps(a, b, c); }
 inline uint32_t equal(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_EQ_OQ); }
 inline uint32_t less_equal(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
 inline float reduce_max(Vec a) { return _mm512_reduce_max_ps(a); }
+// Which of a vector's width of bits are set.
+inline uint32_t bits_at(const uint32_t* bits, const uint32_t* at) {
+  const __m512i where = _mm512_loadu_si512(at);
+  const __m512i words = _mm512_i32gather_epi32(_mm512_srli_epi32(where, 5), bits, 4);
+  const __m512i bit = _mm512_sllv_epi32(
+      _mm512_set1_epi32(1), _mm512_and_si512(where, _mm512_set1_epi32(31)));
+  return _mm512_test_epi32_mask(words, bit);
+}
 // 2^a for whole numbers n = round(a), times p.
 inline Vec round(Vec a) { return _mm512_roundscale_ps(a, _MM_FROUND_TO_NEAREST_INT); }
 inline Vec scale_by_power(Vec p, Vec n) { return _mm512_scalef_ps(p, n); }
@@ -95,6 +103,15 @@ inline uint32_t equal(Vec a, Vec b) {
 }
 inline uint32_t less_equal(Vec a, Vec b) {
   return static_cast<uint32_t>(_mm256_movemask_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ)));
+}
+inline uint32_t bits_at(const uint32_t* bits, const uint32_t* at) {
+  const __m256i where = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(at));
+  const __m256i words = _mm256_i32gather_epi32(reinterpret_cast<const int*>(bits),
+                                               _mm256_srli_epi32(where, 5), 4);
+  const __m256i before =
+      _mm256_sub_epi32(_mm256_set1_epi32(31), _mm256_and_si256(where, _mm256_set1_epi32(31)));
+  return static_cast<uint32_t>(
+      _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_sllv_epi32(words, before))));
 }
 inline float reduce_max(Vec a) {
   __m128 m = _mm_max_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
@@ -184,6 +201,11 @@ inline uint32_t bits(IntVec mask) {
 inline Vec fma(Vec a, Vec b, Vec c) { return a * b + c; }
 inline uint32_t equal(Vec a, Vec b) { return bits(a == b); }
 inline uint32_t less_equal(Vec a, Vec b) { return bits(a <= b); }
+inline uint32_t bits_at(const uint32_t* bits, const uint32_t* at) {
+  uint32_t set = 0;
+  for (int i = 0; i < kWidth; ++i) set |= (bits[at[i] >> 5] >> (at[i] & 31) & 1u) << i;
+  return set;
+}
 inline float reduce_max(Vec a) {
   const float low = a[0] > a[1] ? a[0] : a[1];
   const float high = a[2] > a[3] ? a[2] : a[3];

@@ -36,6 +36,11 @@ struct Lattice {
   std::size_t cells() const { return std::size_t{1} << (bits_x + bits_y); }
   std::uint32_t mask_x() const { return (1u << bits_x) - 1; }
   std::uint32_t mask_y() const { return (1u << bits_y) - 1; }
+  // The cell of which that is the corner's window.
+  std::uint32_t cell_of(std::uint32_t window, std::uint32_t corner) const {
+    const std::uint32_t x = window - (corner & 1), y = (window >> bits_x) - (corner >> 1);
+    return (y & mask_y()) << bits_x | (x & mask_x());
+  }
   VoteLattice at(double yaw) const {
     return {static_cast<float>(std::cos(yaw)),
             static_cast<float>(std::sin(yaw)),
@@ -69,20 +74,31 @@ class HoughAccumulator {
                                  std::uint32_t fewest, const Kernels& kernels);
 
  private:
+  struct Window {
+    std::uint32_t slot, cells[4];  // the cells, numbered in the order of `ends_`
+  };
+
   void count_cells(const Voters& v);
-  void mark_windows(const Lattice& lattice, std::size_t found, bool wanted);
-  void count_objects(const Voters& v, const Lattice& lattice, const VoteLattice& at);
-  void keep_highest(std::uint32_t fewest);
+  std::uint32_t bound_of_likely(std::size_t found, std::uint32_t fewest) const;
+  void gather_voters(const Lattice& lattice, std::size_t found, std::uint32_t fewest,
+                     const Kernels& kernels);
+  void count_objects(const Voters& v, std::uint32_t fewest);
+  void keep_highest();
+  std::uint32_t voter_of(const Voters& v, const Window& window);
+  void place(const Voters& v, const VoteLattice& at, Peak& peak);
 
   std::vector<std::uint16_t> cells_;   // votes, behind a few others; clear between steps
   std::vector<std::uint32_t> own_;     // cell of each voter
-  std::vector<std::uint64_t> full_;    // those windows, a bit each; clear between steps
-  std::vector<std::uint64_t> wanted_;  // cells of those windows, likewise
-  std::vector<std::uint32_t> inside_;  // voters in wanted cells
+  std::vector<Window> chosen_;         // whose objects are counted
+  std::vector<std::uint32_t> wanted_;  // their cells, a bit each; clear between steps
+  std::vector<std::uint32_t> inside_, voters_;  // voters in these cells, in order and by cell
+  std::vector<std::uint32_t> ends_;             // of the voters of each cell
+  std::vector<std::uint32_t> seen_;             // the last window that counted each object
+  std::uint32_t stamp_ = 0;                     // of a window
   std::vector<Peak> peaks_;
   // As large as the table, but hardly used, so they are not cleared:
-  std::unique_ptr<std::uint32_t[]> windows_;   // that may be full
-  std::unique_ptr<std::uint32_t[]> counters_;  // of each of those
+  std::unique_ptr<std::uint32_t[]> windows_;  // that may be full, with the bounds of their votes
+  std::unique_ptr<std::uint32_t[]> numbers_;  // of wanted cells
 };
 
 }  // namespace segloc

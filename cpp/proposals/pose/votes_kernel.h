@@ -1,4 +1,5 @@
-// Two loops of the votes for poses: where each match votes, and which windows of cells may be full.
+// The loops of the votes for poses: where each match votes, which windows of cells may be full, and
+// which matches they hold.
 #pragma once
 
 #include "simd/kernels.h"
@@ -25,27 +26,27 @@ void vote_cells(const MatchArrays& f, size_t count, const VoteLattice& l, uint32
 size_t full_in_row(const uint16_t* above, const uint16_t* here, size_t columns, uint32_t y,
                    uint32_t fewest, uint32_t* found) {
   constexpr size_t kBlockCells = 32;
-  const auto votes = [&](size_t left, size_t right) {
-    return uint32_t(above[left] & kVotes) + uint32_t(above[right] & kVotes) +
-           uint32_t(here[left] & kVotes) + uint32_t(here[right] & kVotes);
-  };
   size_t count = 0;
-  if (votes(columns - 1, 0) >= fewest) found[count++] = y * static_cast<uint32_t>(columns);
+  const auto test = [&](uint32_t votes, size_t x) {
+    if (votes < fewest) return;
+    found[count++] = votes << kSlotBits | static_cast<uint32_t>(y * columns + x);
+  };
+  const size_t last = columns - 1;
+  test(uint32_t(above[last] & kVotes) + uint32_t(above[0] & kVotes) +
+           uint32_t(here[last] & kVotes) + uint32_t(here[0] & kVotes),
+       0);
   for (size_t first = 0; first < columns; first += kBlockCells) {
     const uint16_t *a = above + first, *b = here + first;
     const uint16_t *before_a = a - 1, *before_b = b - 1;
-    uint16_t most = 0;
-    for (size_t i = 0; i < kBlockCells;
-         ++i) {  // in the first block also a window of two rows' ends
-      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) +
-                                             (b[i] & kVotes) + (before_b[i] & kVotes));
-      most = sum > most ? sum : most;
+    uint16_t sums[kBlockCells], most = 0;
+    for (size_t i = 0; i < kBlockCells; ++i) {
+      sums[i] = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) + (b[i] & kVotes) +
+                                      (before_b[i] & kVotes));
+      most = sums[i] > most ? sums[i] : most;
     }
     if (most < fewest) continue;
-    for (size_t x = first == 0 ? 1 : first; x < first + kBlockCells; ++x) {
-      if (votes(x - 1, x) < fewest) continue;
-      found[count++] = static_cast<uint32_t>(y * columns + x);
-    }
+    // The first window of a row spans its ends: it was tested above.
+    for (size_t i = first == 0; i < kBlockCells; ++i) test(sums[i], first + i);
   }
   return count;
 }
@@ -63,6 +64,20 @@ size_t full_windows(uint16_t* cells, size_t columns, size_t rows, uint32_t fewes
   }
   clear_bytes(cells, columns * sizeof(uint16_t));
   return count;
+}
+
+// The matches whose cell has its bit set.
+size_t matches_inside(const uint32_t* cells, size_t count, const uint32_t* wanted,
+                      uint32_t* inside) {
+  size_t found = 0, k = 0;
+  for (; k + kWidth <= count; k += kWidth) {
+    found = append_fast(bits_at(wanted, cells + k), k, inside, found);
+  }
+  for (; k < count; ++k) {
+    inside[found] = static_cast<uint32_t>(k);
+    found += wanted[cells[k] >> 5] >> (cells[k] & 31) & 1u;
+  }
+  return found;
 }
 
 }  // namespace
