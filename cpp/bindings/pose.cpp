@@ -97,12 +97,11 @@ auto pose_votes_(const In2<double>& query, const In2<double>& map,
   VoteOptions options;
   options.tolerance = tolerance;
   options.max_cells = max_cells;
-  const double origin[3] = {0.0, 0.0, 0.0}, cell = 100.0;
+  const double origin[3] = {0.0, 0.0, 0.0};
   PoseVotes found;
   {
     nb::gil_scoped_release release;
-    found =
-        vote_for_poses(make_match_table(input, origin, distinct_radius, cell), options, threads);
+    found = vote_for_poses(make_match_table(input, origin, distinct_radius), options, threads);
   }
   std::vector<std::int64_t> votes;
   std::vector<double> poses;

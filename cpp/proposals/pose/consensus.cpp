@@ -16,17 +16,6 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kSameStart = 0.75 * kPi / 180.0;
 
-double longest_edge(const double* query, std::size_t q) {
-  double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
-  for (std::size_t i = 0; i < q; ++i) {
-    for (int a = 0; a < 2; ++a) {
-      low[a] = std::min(low[a], query[3 * i + a]);
-      high[a] = std::max(high[a], query[3 * i + a]);
-    }
-  }
-  return std::hypot(high[0] - low[0], high[1] - low[1]);
-}
-
 double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }
 
 // Poses that differ by more in height have no match in common: they are on other storeys.
@@ -57,9 +46,8 @@ std::vector<PoseHypothesis> consensus(const double* query, std::size_t q, const 
   if (matches < 2) return {};
   // Map coordinates may be as large as UTM's: floats are taken relative to one of the matches.
   const double* origin = map + 3 * mm[0];
-  const double cell = std::max(longest_edge(query, q) + o.inlier_tolerance, 1.0);
   const MatchTable f =
-      make_match_table({query, q, map, mq, mm, matches}, origin, o.distinct_radius, cell);
+      make_match_table({query, q, map, mq, mm, matches}, origin, o.distinct_radius);
 
   const Kernels& kernel_table = kernels(parse_isa("auto"));
   const PoseVotes votes =

@@ -65,14 +65,23 @@ std::vector<float> matched_points(const MatchInput& in, const double* origin) {
 
 }  // namespace
 
-MatchTable make_match_table(const MatchInput& in, const double* origin, double distinct,
-                            double cell) {
+MatchTable make_match_table(const MatchInput& in, const double* origin, double distinct) {
+  MatchTable f;
+  double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
+  for (std::size_t i = 0; i < in.q; ++i) {
+    for (int a = 0; a < 2; ++a) {
+      low[a] = std::min(low[a], in.query[3 * i + a]);
+      high[a] = std::max(high[a], in.query[3 * i + a]);
+    }
+  }
+  for (int a = 0; a < 2; ++a) f.middle[a] = 0.5 * (low[a] + high[a]);
+  f.reach = 0.5 * std::hypot(high[0] - low[0], high[1] - low[1]);
+  f.cell = std::max(0.5 * f.reach, 1.0);
   const std::vector<float> matched = matched_points(in, origin);
   std::vector<float> plane = matched;
   for (std::size_t k = 0; k < in.n; ++k) plane[3 * k + 2] = 0.0f;
-  CellOrder cells = sort_into_cells(plane.data(), in.n, cell);
+  CellOrder cells = sort_into_cells(plane.data(), in.n, f.cell);
   const std::vector<std::uint32_t> group = group_by_distance(in.query, in.q, distinct);
-  MatchTable f;
   f.keys = std::move(cells.keys);
   f.stride = cells.stride_y;
   f.groups = in.q == 0 ? 0 : 1 + *std::max_element(group.begin(), group.end());
@@ -104,14 +113,32 @@ MatchTable make_match_table(const MatchInput& in, const double* origin, double d
   return f;
 }
 
-void ranges_around(const MatchTable& f, std::uint64_t key, MatchRange ranges[3]) {
-  for (int dy = -1; dy <= 1; ++dy) {
-    const auto row = key + static_cast<std::uint64_t>(dy * f.stride);
-    const auto begin = std::lower_bound(f.keys.begin(), f.keys.end(), row - 1);
-    const auto end = std::upper_bound(begin, f.keys.end(), row + 1);
-    ranges[dy + 1] = {static_cast<std::size_t>(begin - f.keys.begin()),
-                      static_cast<std::size_t>(end - f.keys.begin())};
+std::vector<MatchRange> ranges_near(const MatchTable& f, const PoseTest& pose, double margin) {
+  const double middle[2] = {
+      pose.cosine * f.middle[0] - pose.sine * f.middle[1] + pose.x,
+      pose.sine * f.middle[0] + pose.cosine * f.middle[1] + pose.y};
+  const auto cells_to = [&](double metres) { return std::int64_t(std::floor(metres / f.cell)); };
+  // The first match lies somewhere in its cell: what is n cells on is n or n + 1 numbers on.
+  const auto key = static_cast<std::int64_t>(f.keys.front());
+  const std::int64_t column = key % f.stride, row = key / f.stride;
+  const double reach = f.reach + margin, dx = middle[0] - f.mx[0], dy = middle[1] - f.my[0];
+  const std::int64_t left = std::max<std::int64_t>(column + cells_to(dx - reach), 0);
+  const std::int64_t right = std::min(column + cells_to(dx + reach) + 1, f.stride - 1);
+  const std::int64_t last =
+      std::min(row + cells_to(dy + reach) + 1, std::int64_t(f.keys.back()) / f.stride);
+  std::vector<MatchRange> ranges;
+  auto begin = f.keys.begin();
+  for (std::int64_t at = std::max(row + cells_to(dy - reach), row); at <= last; ++at) {
+    if (left > right) break;
+    begin = std::lower_bound(begin, f.keys.end(), std::uint64_t(at * f.stride + left));
+    const auto end = std::upper_bound(begin, f.keys.end(), std::uint64_t(at * f.stride + right));
+    if (begin != end) {
+      ranges.push_back({static_cast<std::size_t>(begin - f.keys.begin()),
+                        static_cast<std::size_t>(end - f.keys.begin())});
+    }
+    begin = end;
   }
+  return ranges;
 }
 
 }  // namespace segloc

@@ -22,6 +22,9 @@ struct MatchTable {
   std::vector<std::uint32_t> match;           // which of the given matches this is
   std::vector<std::uint64_t> keys;
   std::int64_t stride = 0;
+  double cell = 0.0;              // edge of the cells, metres
+  double middle[2] = {0.0, 0.0};  // of the query,
+  double reach = 0.0;             // and how far its segments are from it at most
   std::size_t groups = 0, map_segments = 0;
   double farthest = 0.0;  // largest coordinate
 
@@ -38,11 +41,11 @@ struct MatchInput {
   std::size_t n;
 };
 
-// Query segments closer than `distinct` are one object; cells are `cell` metres wide.
-MatchTable make_match_table(const MatchInput& input, const double* origin, double distinct,
-                            double cell);
+// Query segments closer than `distinct` are one object.
+MatchTable make_match_table(const MatchInput& input, const double* origin, double distinct);
 
-// The matches in the three by three cells around a key: three ranges of the sorted table.
-void ranges_around(const MatchTable& f, std::uint64_t key, MatchRange ranges[3]);
+// Ranges of the table with all matches whose map segment lies within `margin` metres of any segment
+// of the query at that pose, and few others.
+std::vector<MatchRange> ranges_near(const MatchTable& f, const PoseTest& pose, double margin);
 
 }  // namespace segloc

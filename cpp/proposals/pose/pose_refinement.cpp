@@ -16,9 +16,8 @@ struct Inlier {
 };
 
 // One match for each object of the query and each segment of the map, nearest first.
-std::vector<Inlier> distinct_inliers(const MatchTable& f, const MatchRange ranges[3],
-                                     const PoseHypothesis& pose, double tolerance, double height,
-                                     const Kernels& kernels) {
+std::vector<Inlier> distinct_inliers(const MatchTable& f, const PoseHypothesis& pose,
+                                     double tolerance, double height, const Kernels& kernels) {
   const double c = std::cos(pose.yaw), s = std::sin(pose.yaw);
   // Single precision finds all that double precision may accept; that then decides.
   const double farthest = f.farthest + std::fabs(pose.t[0]) + std::fabs(pose.t[1]);
@@ -29,9 +28,9 @@ std::vector<Inlier> distinct_inliers(const MatchTable& f, const MatchRange range
   const MatchArrays arrays = f.arrays();
   std::uint32_t close[kBlock];
   std::vector<Inlier> near;
-  for (int r = 0; r < 3; ++r) {
-    for (std::size_t begin = ranges[r].begin; begin < ranges[r].end; begin += kBlock) {
-      const std::size_t end = std::min(begin + kBlock, ranges[r].end);
+  for (const MatchRange& range : ranges_near(f, test, max_distance)) {
+    for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
+      const std::size_t end = std::min(begin + kBlock, range.end);
       const std::size_t count = kernels.near_pose(arrays, test, begin, end, close);
       for (std::size_t i = 0; i < count; ++i) {
         const std::size_t k = close[i];
@@ -83,18 +82,16 @@ void fit(const MatchTable& f, const std::vector<Inlier>& inliers, PoseHypothesis
 
 PoseHypothesis refine(const MatchTable& f, const PoseStart& start, const ConsensusOptions& o,
                       const Kernels& kernels) {
-  MatchRange ranges[3];
-  ranges_around(f, f.keys[start.index], ranges);
   PoseHypothesis pose = start.pose;
   // Far inliers are off by the error of the first yaw: the tolerance starts wide.
   for (const double factor : {2.0, 1.5, 1.0, 1.0}) {
     const auto inliers =
-        distinct_inliers(f, ranges, pose, factor * o.inlier_tolerance, o.height_tolerance, kernels);
+        distinct_inliers(f, pose, factor * o.inlier_tolerance, o.height_tolerance, kernels);
     if (inliers.size() < 2) break;
     fit(f, inliers, pose);
   }
   for (const Inlier& in :
-       distinct_inliers(f, ranges, pose, o.inlier_tolerance, o.height_tolerance, kernels)) {
+       distinct_inliers(f, pose, o.inlier_tolerance, o.height_tolerance, kernels)) {
     ++pose.inliers;
     pose.score += 1.0 - in.squared / (o.inlier_tolerance * o.inlier_tolerance);
   }

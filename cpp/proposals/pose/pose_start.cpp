@@ -17,14 +17,13 @@ constexpr std::size_t kFewestObjects = 2;  // that agree on another height than 
 // The matches that a cell of poses gathers, one object after another.
 std::vector<std::uint32_t> gather(const MatchTable& f, const PoseCell& cell, double width,
                                   const Kernels& kernels) {
-  MatchRange ranges[3];
-  ranges_around(f, f.keys[cell.index], ranges);
+  const double reach = std::sqrt(1.5) * width;
   const PoseTest test{static_cast<float>(std::cos(cell.yaw)),
                       static_cast<float>(std::sin(cell.yaw)), static_cast<float>(cell.x),
-                      static_cast<float>(cell.y), static_cast<float>(1.5 * width * width)};
+                      static_cast<float>(cell.y), static_cast<float>(reach * reach)};
   std::vector<std::uint32_t> gathered;
   std::uint32_t close[kBlock];
-  for (const MatchRange& range : ranges) {
+  for (const MatchRange& range : ranges_near(f, test, reach)) {
     for (std::size_t begin = range.begin; begin < range.end; begin += kBlock) {
       const std::size_t end = std::min(begin + kBlock, range.end);
       const std::size_t count = kernels.near_pose(f.arrays(), test, begin, end, close);
@@ -50,22 +49,19 @@ class FineVotes {
 
   void clear() { std::fill(counters_.begin(), counters_.end(), Counter{}); }
 
-  void add(double x, double y, std::uint32_t group, std::uint32_t match) {
-    const double u = (x - x_) * per_metre_ + 1.0, v = (y - y_) * per_metre_ + 1.0;
-    if (!(u >= 0.0 && v >= 0.0 && u <= side_ && v <= side_)) return;
+  void add(double x, double y, std::uint32_t group) {
+    const int first = cell_of(x, y);
+    if (first < 0) return;
     // A margin of one cell on each side, so that all four corners exist.
-    const auto first =
-        static_cast<std::size_t>(static_cast<int>(v) * stride_ + static_cast<int>(u));
-    const auto stride = static_cast<std::size_t>(stride_);
-    for (const std::size_t at : {first, first + 1, first + stride, first + stride + 1}) {
-      Counter& counter = counters_[at];
-      if (counter.votes != 0 && counter.group == group) continue;
-      counter = {counter.votes + 1, group, match};
+    for (const int at : {first, first + 1, first + stride_, first + stride_ + 1}) {
+      Counter& counter = counters_[static_cast<std::size_t>(at)];
+      counter.votes += counter.group != group;
+      counter.group = group;
     }
   }
 
   // Whether some cell has more votes than the start; which then is moved there.
-  bool improve(PoseStart& start) const {
+  bool improve(PoseStart& start) {
     std::size_t best = start.support;
     int column = -1, row = -1;
     for (int j = 1; j <= side_; ++j) {
@@ -73,23 +69,36 @@ class FineVotes {
         const Counter& counter = counters_[static_cast<std::size_t>(j * stride_ + i)];
         if (counter.votes <= best) continue;
         best = counter.votes, column = i - 1, row = j - 1;
-        start.index = counter.match;
       }
     }
     if (column < 0) return false;
     start.support = best;
     start.pose.t[0] = x_ + width_ * column;
     start.pose.t[1] = y_ + width_ * row;
+    best_ = (row + 1) * stride_ + column + 1;
     return true;
+  }
+
+  // Whether a voter votes for the cell that improved the start.
+  bool in_best(double x, double y) const {
+    const int first = cell_of(x, y), steps = best_ - first;
+    return first >= 0 && (steps == 0 || steps == 1 || steps == stride_ || steps == stride_ + 1);
   }
 
  private:
   struct Counter {
-    std::uint32_t votes = 0, group = 0, match = 0;  // the last voter
+    std::uint32_t votes = 0, group = ~0u;  // the last object
   };
 
+  // The first of the four cells that a voter votes for; -1 if they are out of the square.
+  int cell_of(double x, double y) const {
+    const double u = (x - x_) * per_metre_ + 1.0, v = (y - y_) * per_metre_ + 1.0;
+    if (!(u >= 0.0 && v >= 0.0 && u <= side_ && v <= side_)) return -1;
+    return static_cast<int>(v) * stride_ + static_cast<int>(u);
+  }
+
   double x_, y_, width_, per_metre_;
-  int side_, stride_;
+  int side_, stride_, best_ = -1;
   std::vector<Counter> counters_;
 };
 
@@ -172,11 +181,19 @@ std::vector<PoseStart> best_starts(const MatchTable& f, const PoseCell& cell,
     fine.clear();
     for (const std::uint32_t k : matches) {
       const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
-      fine.add(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y), f.group[k], k);
+      fine.add(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y), f.group[k]);
     }
     if (fine.improve(start)) start.pose.yaw = yaw;
   }
   const double c = std::cos(start.pose.yaw), s = std::sin(start.pose.yaw);
+  std::uint32_t group = ~0u;
+  for (const std::uint32_t k : matches) {  // the first of the last object
+    const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
+    if (f.group[k] == group) continue;
+    if (!fine.in_best(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y))) continue;
+    start.index = k;
+    group = f.group[k];
+  }
   start.pose.t[0] -= c * votes.middle[0] - s * votes.middle[1];
   start.pose.t[1] -= s * votes.middle[0] + c * votes.middle[1];
   std::vector<PoseStart> starts;

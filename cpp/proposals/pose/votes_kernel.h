@@ -21,32 +21,58 @@ void vote_cells(const MatchArrays& f, size_t count, const VoteLattice& l, uint32
   }
 }
 
-// The windows of the row `y` that hold `fewest` votes: two by two cells each, in the row `above`
-// and in the row `here`, the first ones of a row together with the last.
+constexpr size_t kLanes = 32;
+
+// A bound of the votes in each of a few windows, which are two by two cells, and the largest.
+inline uint16_t sums_of(const uint16_t* above, const uint16_t* here, uint16_t* sums) {
+  const uint16_t *before_above = above - 1, *before_here = here - 1;
+  uint16_t most = 0;
+  for (size_t i = 0; i < kLanes; ++i) {
+    sums[i] = static_cast<uint16_t>((above[i] & kVotes) + (before_above[i] & kVotes) +
+                                    (here[i] & kVotes) + (before_here[i] & kVotes));
+    most = sums[i] > most ? sums[i] : most;
+  }
+  return most;
+}
+
+// Whether there may be a window of `fewest` votes among so many, a multiple of the lanes.
+inline bool any_full(const uint16_t* above, const uint16_t* here, size_t windows,
+                     uint32_t fewest) {
+  uint16_t most[kLanes] = {}, highest = 0;
+  for (size_t first = 0; first < windows; first += kLanes) {
+    const uint16_t *a = above + first, *b = here + first;
+    const uint16_t *before_a = a - 1, *before_b = b - 1;
+    for (size_t i = 0; i < kLanes; ++i) {
+      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) +
+                                             (b[i] & kVotes) + (before_b[i] & kVotes));
+      most[i] = sum > most[i] ? sum : most[i];
+    }
+  }
+  for (size_t i = 0; i < kLanes; ++i) highest = most[i] > highest ? most[i] : highest;
+  return highest >= fewest;
+}
+
+// The windows of the row `y` that hold `fewest` votes, in the row `above` and in the row `here`,
+// the first ones of a row together with the last.
 size_t full_in_row(const uint16_t* above, const uint16_t* here, size_t columns, uint32_t y,
                    uint32_t fewest, uint32_t* found) {
-  constexpr size_t kBlockCells = 32;
+  const size_t block = columns % (4 * kLanes) == 0 ? 4 * kLanes : kLanes, last = columns - 1;
   size_t count = 0;
   const auto test = [&](uint32_t votes, size_t x) {
     if (votes < fewest) return;
     found[count++] = votes << kSlotBits | static_cast<uint32_t>(y * columns + x);
   };
-  const size_t last = columns - 1;
   test(uint32_t(above[last] & kVotes) + uint32_t(above[0] & kVotes) +
            uint32_t(here[last] & kVotes) + uint32_t(here[0] & kVotes),
        0);
-  for (size_t first = 0; first < columns; first += kBlockCells) {
-    const uint16_t *a = above + first, *b = here + first;
-    const uint16_t *before_a = a - 1, *before_b = b - 1;
-    uint16_t sums[kBlockCells], most = 0;
-    for (size_t i = 0; i < kBlockCells; ++i) {
-      sums[i] = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) + (b[i] & kVotes) +
-                                      (before_b[i] & kVotes));
-      most = sums[i] > most ? sums[i] : most;
+  for (size_t start = 0; start < columns; start += block) {
+    if (!any_full(above + start, here + start, block, fewest)) continue;
+    for (size_t first = start; first < start + block; first += kLanes) {
+      uint16_t sums[kLanes];
+      if (sums_of(above + first, here + first, sums) < fewest) continue;
+      // The first window of a row spans its ends: it was tested above.
+      for (size_t i = first == 0; i < kLanes; ++i) test(sums[i], first + i);
     }
-    if (most < fewest) continue;
-    // The first window of a row spans its ends: it was tested above.
-    for (size_t i = first == 0; i < kBlockCells; ++i) test(sums[i], first + i);
   }
   return count;
 }
