@@ -198,26 +198,22 @@ auto consistent_sets_(const In2<double>& query, const In2<double>& map,
 
 Agreement agreement_of(const In2<double>& query, const In2<double>& map,
                        const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
-                       const In1<std::int64_t>& objects, double inlier_tolerance,
-                       double height_tolerance) {
+                       double distinct_radius, double inlier_tolerance, double height_tolerance) {
   require_matches(query, map, match_query, match_map);
-  require(objects.shape(0) == query.shape(0), "objects must have one entry for each query segment");
+  require_between(distinct_radius, 0.0, kLongest, "distinct_radius");
   require_between(inlier_tolerance, 0.0, kLongest, "inlier_tolerance");
   require_between(height_tolerance, 0.0, kLongest, "height_tolerance");
-  const std::size_t count = objects.shape(0);
-  for (std::size_t i = 0; i < count; ++i) {
-    require(objects.data()[i] >= 0 && static_cast<std::size_t>(objects.data()[i]) < count,
-            "objects must be numbers of query segments");
-  }
   nb::gil_scoped_release release;
+  const std::vector<std::uint32_t> objects =
+      objects_of(query.data(), query.shape(0), distinct_radius);
   std::vector<Agreement::Match> matches(match_query.shape(0));
   for (std::size_t k = 0; k < matches.size(); ++k) {
-    const std::int64_t row = match_query.data()[k];
+    const auto row = static_cast<std::size_t>(match_query.data()[k]);
     std::copy_n(query.data() + 3 * row, 3, matches[k].from);
     std::copy_n(map.data() + 3 * match_map.data()[k], 3, matches[k].to);
-    matches[k].object = static_cast<std::size_t>(objects.data()[row]);
+    matches[k].object = objects[row];
   }
-  return {std::move(matches), count, {inlier_tolerance, height_tolerance}};
+  return {std::move(matches), objects.size(), {inlier_tolerance, height_tolerance}};
 }
 
 }  // namespace
@@ -228,13 +224,13 @@ void bind_pose(nb::module_& m) {
           "__init__",
           [](Agreement* self, const In2<double>& query, const In2<double>& map,
              const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
-             const In1<std::int64_t>& objects, double inlier_tolerance, double height_tolerance) {
-            new (self) Agreement(agreement_of(query, map, match_query, match_map, objects,
+             double distinct_radius, double inlier_tolerance, double height_tolerance) {
+            new (self) Agreement(agreement_of(query, map, match_query, match_map, distinct_radius,
                                               inlier_tolerance, height_tolerance));
           },
           nb::arg("query").noconvert(), nb::arg("map").noconvert(),
           nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(),
-          nb::arg("objects").noconvert(), nb::arg("inlier_tolerance"), nb::arg("height_tolerance"))
+          nb::arg("distinct_radius"), nb::arg("inlier_tolerance"), nb::arg("height_tolerance"))
       .def(
           "count",
           [](const Agreement& self, const In2<double>& T_map_local) {

@@ -144,12 +144,12 @@ def _poses() -> Iterator[tuple[str, Call]]:
     }
     yield "prosac", Call(_native.prosac, prosac)
     matches = _matches()
-    objects = matches | {"objects": np.arange(len(matches["query"]), dtype=np.int64)}
-    agreement = objects | {"inlier_tolerance": 0.6, "height_tolerance": 1.0}
+    tolerance = {"inlier_tolerance": 0.6, "height_tolerance": 1.0}
+    agreement = matches | {"distinct_radius": 0.5} | tolerance
     yield "Agreement", Call(lambda **a: _native.Agreement(**a).count(np.eye(4)), agreement)
     count = _native.Agreement(**agreement).count
     yield "Agreement.count", Call(count, {"T_map_local": np.eye(4)})
-    consistency = objects.copy()
+    consistency = matches | {"objects": np.arange(len(matches["query"]), dtype=np.int64)}
     consistency |= {"resolution": 0.4, "min_size": 4, "max_sets": 4}
     yield "consistent_sets", Call(_native.consistent_sets, consistency)
 

@@ -26,10 +26,15 @@ class Agreement {
   std::size_t count(const Rigid& T) const;
 
  private:
-  std::vector<Match> matches_;  // sorted by map x
+  // The strip of the map that x lies in; the first or the last one if it lies outside.
+  std::size_t strip_of(double x) const;
+
+  std::vector<Match> matches_;       // strip by strip
+  std::vector<std::size_t> starts_;  // of the strips, and the end of the last one
   std::size_t objects_;
   Tolerance tolerance_;
   double reach_ = 0.0;  // largest range of a segment, metres
+  double low_ = 0.0, strips_per_metre_ = 0.0;
 };
 
 }  // namespace segloc

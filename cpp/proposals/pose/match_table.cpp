@@ -12,24 +12,6 @@ namespace {
 
 constexpr std::size_t kMaxWidth = 16;
 
-// Query segments that lie close together (the same object cut at two heights) count as one object.
-std::vector<std::uint32_t> group_by_distance(const double* points, std::size_t n, double radius) {
-  std::vector<std::uint32_t> group(n);
-  std::uint32_t groups = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    group[i] = groups;
-    for (std::size_t j = 0; j < i; ++j) {
-      const double dx = points[3 * i] - points[3 * j], dy = points[3 * i + 1] - points[3 * j + 1];
-      if (dx * dx + dy * dy < radius * radius) {
-        group[i] = group[j];
-        break;
-      }
-    }
-    if (group[i] == groups) ++groups;
-  }
-  return group;
-}
-
 // Numbers the distinct values in rising order.
 std::size_t number(std::vector<std::uint32_t>& values) {
   std::vector<std::uint64_t> keys(values.begin(), values.end());
@@ -65,6 +47,23 @@ std::vector<float> matched_points(const MatchInput& in, const double* origin) {
 
 }  // namespace
 
+std::vector<std::uint32_t> objects_of(const double* points, std::size_t n, double radius) {
+  std::vector<std::uint32_t> group(n);
+  std::uint32_t groups = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    group[i] = groups;
+    for (std::size_t j = 0; j < i; ++j) {
+      const double dx = points[3 * i] - points[3 * j], dy = points[3 * i + 1] - points[3 * j + 1];
+      if (dx * dx + dy * dy < radius * radius) {
+        group[i] = group[j];
+        break;
+      }
+    }
+    if (group[i] == groups) ++groups;
+  }
+  return group;
+}
+
 MatchTable make_match_table(const MatchInput& in, const double* origin, double distinct) {
   MatchTable f;
   double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
@@ -81,7 +80,7 @@ MatchTable make_match_table(const MatchInput& in, const double* origin, double d
   std::vector<float> plane = matched;
   for (std::size_t k = 0; k < in.n; ++k) plane[3 * k + 2] = 0.0f;
   CellOrder cells = sort_into_cells(plane.data(), in.n, f.cell);
-  const std::vector<std::uint32_t> group = group_by_distance(in.query, in.q, distinct);
+  const std::vector<std::uint32_t> group = objects_of(in.query, in.q, distinct);
   f.keys = std::move(cells.keys);
   f.stride = cells.stride_y;
   f.groups = in.q == 0 ? 0 : 1 + *std::max_element(group.begin(), group.end());

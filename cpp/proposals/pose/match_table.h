@@ -41,7 +41,11 @@ struct MatchInput {
   std::size_t n;
 };
 
-// Query segments closer than `distinct` are one object.
+// The object of each of (n, 3) query segments: segments closer than `distinct` are one, like the two
+// halves of a tree that is cut at two heights.
+std::vector<std::uint32_t> objects_of(const double* query, std::size_t n, double distinct);
+
+// Objects are those of `distinct` metres.
 MatchTable make_match_table(const MatchInput& input, const double* origin, double distinct);
 
 // Ranges of the table with all matches whose map segment lies within `margin` metres of any segment

@@ -124,7 +124,7 @@ class PoseEstimator:
             map_centroids,
             matches.query,
             matches.map,
-            _objects(query, self.config.distinct_radius),
+            distinct_radius=self.config.distinct_radius,
             inlier_tolerance=self.config.inlier_tolerance,
             height_tolerance=self.config.height_tolerance,
         ).count
