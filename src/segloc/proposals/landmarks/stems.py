@@ -179,9 +179,8 @@ def upright(points: Float32, heights: Float32, tolerance: float, config: StemCon
     points, heights = points[band], heights[band]
     slices = ((heights - config.lowest_m) / config.slice_m).astype(np.int64)
     members, counts = _clusters(points, slices, tolerance)
-    slim = np.flatnonzero(_widths(points[members], counts) < config.widest_m)
-    kept = np.isin(np.repeat(np.arange(len(counts)), counts), slim)
-    members, counts = members[kept], counts[slim]
+    slim = _widths(points[members], counts) < config.widest_m
+    members, counts = members[np.repeat(slim, counts)], counts[slim]
     chains = _chains(points[members].astype(np.float64), slices[members], counts, config.link_m)
     which = np.repeat(chains, counts)
     order = np.argsort(which, kind="stable")
