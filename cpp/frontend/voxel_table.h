@@ -101,12 +101,6 @@ class VoxelTable {
   std::size_t size() const { return used_; }
   std::size_t nbytes() const { return keys_.size() * (sizeof(std::uint64_t) + sizeof(VoxelSum)); }
 
-  // Forgets all voxels, and keeps the memory.
-  void clear() {
-    keys_.assign(keys_.size(), kFree);
-    used_ = 0;
-  }
-
   // Calls visit(key, sum) for every voxel, in no order that means anything.
   template <typename Visit>
   void visit(Visit&& visit) const {

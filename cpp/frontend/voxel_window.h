@@ -51,12 +51,12 @@ class VoxelWindow {
   };
 
   void check_places(const std::vector<Rigid>& T_odom_sensor) const;
-  std::vector<float> thinned(const float* points, std::size_t n);
+  std::vector<float> thinned(const float* points, std::size_t n) const;
   const VoxelRuns& placed(const ThinScan& scan);
 
   double voxel_size_, reach_;
   std::deque<ThinScan> scans_;
-  VoxelTable table_, thin_;
+  VoxelTable table_;
   VoxelRuns runs_;
 };
 
