@@ -243,12 +243,12 @@ struct Kernels {
   void (*vote_cells)(const MatchArrays& f, size_t count, const VoteLattice& lattice,
                      uint32_t* cells);
   // Writes the windows with at least `fewest` votes, with these; clears the table, and returns how
-  // many there are. The window of a cell are the two by two cells that end with it, across the edges of the
-  // table. A multiple of 32 columns; the value before the table may be read.
+  // many there are. The window of a cell are the two by two cells that end with it, across the edges
+  // of the table. A multiple of 32 columns; the value before the table may be read.
   size_t (*full_windows)(uint16_t* cells, size_t columns, size_t rows, uint32_t fewest,
                          uint32_t* found);
-  // Writes the matches whose cell has its bit set, and returns how many there are. Has room for all
-  // of them and a vector's width.
+  // Writes the matches whose cell has its bit set, and returns how many there are. There must be
+  // room for all of them and a vector's width.
   size_t (*matches_inside)(const uint32_t* cells, size_t count, const uint32_t* wanted,
                            uint32_t* inside);
   // Adds to the sum of each window how many of the slices it holds: bytes, in runs that begin at

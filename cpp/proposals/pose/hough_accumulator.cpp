@@ -44,7 +44,9 @@ const std::vector<Peak>& HoughAccumulator::peaks(const Voters& v, const Lattice&
   const std::size_t found =
       kernels.full_windows(cells_.data() + kFront, std::size_t{1} << lattice.bits_x,
                            std::size_t{1} << lattice.bits_y, fewest, windows_.get());
-  // Windows with the highest bounds usually have enough peaks, none of the others then a higher one.
+  peaks_.clear();
+  if (found == 0) return peaks_;
+  // Windows with the highest bounds mostly have enough peaks: none of the others has a higher one.
   for (std::uint32_t least = bound_of_likely(found, fewest);; least = fewest) {
     peaks_.clear();
     gather_voters(lattice, found, least, kernels);

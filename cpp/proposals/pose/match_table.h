@@ -41,7 +41,7 @@ struct MatchInput {
   std::size_t n;
 };
 
-// The object of each of (n, 3) query segments: segments closer than `distinct` are one, like the two
+// The object of each of (n, 3) query segments: those closer than `distinct` are one, like the two
 // halves of a tree that is cut at two heights.
 std::vector<std::uint32_t> objects_of(const double* query, std::size_t n, double distinct);
 
