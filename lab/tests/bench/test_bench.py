@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import sys
+import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.bench import fps, geometric, harness, network, query, stream
-from segloc_lab.bench import harness as rows
+from segloc_lab.bench import fps, front, geometric, harness, network, versions, works
 from segloc_lab.cli import bench as suite
 from typer.testing import CliRunner
 
-from segloc import Config, ConfigError, _native, build_map
+import segloc
+from segloc import ConfigError, MemoryRecording, SeglocError, _native
 from segloc.cli import app
 
 
@@ -29,69 +32,101 @@ def test_rival_neighbours_are_exact():
     assert np.array_equal(geometric.product_and_partition(queries, database, 7), expected)
 
 
-@pytest.fixture(scope="module")
-def plaza_scene():
-    walk = harness.PlazaWalk(harness.Plaza(), steps=6)
-    return query._scene(build_map(walk, Config(threads=1)), walk, walk, [2, 3])
-
-
-@pytest.fixture(scope="module")
-def plaza_stream():
-    walk = harness.PlazaWalk(harness.Plaza(), steps=22)
-    scans = [walk.scan(i) for i in range(len(walk))]
-    return stream.Stream(build_map(walk, Config(threads=1)), scans, walk.poses, 2)
-
-
-@pytest.mark.slow
-def test_a_padded_map_has_the_size_that_was_wanted_and_still_localizes(plaza_scene):
-    size = 3 * len(plaza_scene.prior_map) + 7
-    measured = query.query_row("query", plaza_scene, 1, 1, segments=size)
-    assert measured.details["map segments"] == size
-    assert measured.details["correct"] == 2
-    assert {"segmentation, ms", "matching, ms", "verification, ms"} <= set(measured.details)
-
-
 @pytest.mark.parametrize(
-    ("names", "threads", "repeats"), [(["sorting"], [1], 1), (["fps"], [0], 1), (["fps"], [1], 0)]
+    ("given", "cause"),
+    [
+        ({"names": ("sorting",)}, "no benchmark 'sorting'"),
+        ({"names": ("fps",), "against": Path(sys.executable)}, "beside another version"),
+        ({"names": ("fps",), "threads": (0,)}, "at least 1"),
+        ({"names": ("fps",), "repeats": 0}, "at least 1"),
+    ],
 )
-def test_wrong_requests_are_refused(names, threads, repeats):
-    with pytest.raises(ConfigError):
-        suite.run(names, threads, repeats)
+def test_wrong_requests_are_refused(given, cause):
+    with pytest.raises(ConfigError, match=cause):
+        suite.Plan(**given)
 
 
-SMALLEST = {
-    "fps": ((fps, "SEGMENTS", 10),),
-    "network": ((network, "SEGMENTS", 12), (network, "CHUNKS", (5,))),
-    "dsm_vs_esm": ((network, "SEGMENTS", 12),),
-    "clustering": (),
-    "knn": ((geometric, "DATABASE", 2000),),
-    "pose": (),
-    "icp": (),
-    "query": ((query, "MAP_SEGMENTS", 3000), (query, "simulated_scene", None)),
-    **dict.fromkeys(
-        ("stream", "stream_os1_128", "stream_vlp16"),
-        ((stream, "MAP_SEGMENTS", 3000), (stream, "simulated_stream", None)),
-    ),
-}
-"""What makes each benchmark small."""
+@pytest.fixture
+def small(monkeypatch):
+    """Make each benchmark small: a walk across a plaza in place of drives."""
+    for module, constant, value in (
+        (front, "SEGMENTS", 10),
+        (geometric, "DATABASE", 2000),
+        (fps, "SEGMENTS", 10),
+        (network, "SEGMENTS", 12),
+        (network, "CHUNKS", (5,)),
+        (harness, "_SGEMM_SIZE", 64),
+        (works, "SCANS", 1),
+        (works, "MAP_SEGMENTS", 1500),
+        (works, "MILLION", 2000),
+        (works, "ASIDE_M", 20.0),
+    ):
+        monkeypatch.setattr(module, constant, value)
+    monkeypatch.setattr(works, "drive", partial(walked, harness.Plaza(size_m=150.0)))
+    monkeypatch.setattr(front, "drive", works.drive)
+
+
+class Walked(harness.PlazaWalk):
+    """A walk in place of a simulated drive."""
+
+    @property
+    def truth(self):
+        return self.poses
+
+    def with_odometry(self):
+        return self
+
+
+def walked(plaza, sensor, firings, *, seed=0, **_):
+    walk = Walked(plaza if seed == 0 else harness.Plaza(seed, size_m=150.0), steps=22)
+    walk.name = sensor
+    return walk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", suite.BENCHMARKS)
-def test_every_benchmark_runs_at_its_smallest(name, plaza_scene, plaza_stream, monkeypatch):
+@pytest.mark.parametrize("name", suite.KERNELS)
+def test_every_kernel_is_timed_beside_its_bound(name, small):
     """With PyTorch, ONNX Runtime and the other rivals where they are installed."""
-    for module, constant, value in SMALLEST[name]:
-        made = plaza_stream if module is stream else plaza_scene
-        small = (lambda *_, made=made: made) if value is None else value
-        monkeypatch.setattr(module, constant, small)
-    monkeypatch.setattr(harness, "_SGEMM_SIZE", 64)
-    row = suite.benchmark(name)(1, 1)
-    assert row.ours_ms > 0 and all(ms > 0 for ms in row.rivals.values())
+    row = suite.kernel(name)(1, 1)
+    assert row.ours_ms > 0 and row.bound_ms > 0 and all(ms > 0 for ms in row.rivals.values())
+    assert row.rivals or row.skipped or row.note
     if name == "network" and harness.optional("torch") is not None:
         assert any("PyTorch" in rival for rival in row.rivals)
-    (table,) = rows.tables([row])
-    shown = [cell for cell in table.rows[0] if isinstance(cell, float)]
-    assert any(cell == pytest.approx(row.ours_ms, rel=1e-2) for cell in shown)
+    (table,) = harness.tables([row])
+    assert table.rows[0][2] == pytest.approx(row.ours_ms, rel=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", suite.WORKS)
+def test_all_work_is_timed_beside_the_same_version(name, small):
+    """Both find the same answers, none is false, and no stage lacks a ratio."""
+    rows = list(suite.Plan((name,), repeats=1, against=Path(sys.executable)).works())
+    counts = {row[1]: (row[2], row[4]) for row in rows if row[1].startswith("answers: ")}
+    assert all(ours == other > 0 for ours, other in counts.values())
+    assert "answers: false" not in counts
+    assert ("answers: found" in counts) == (name not in ("stages", "build", "align"))
+    timed = [row for row in rows if row[3] is not None]
+    assert timed and all(float(row[2]) >= 0 and row[6] is not None for row in timed)
+
+
+@pytest.mark.slow
+def test_work_is_timed_beside_a_wheel(tmp_path):
+    """What is imported is in the wheel."""
+    path, package = tmp_path / "segloc-0.whl", Path(segloc.__file__).parent
+    native = Path(_native.__file__)
+    with zipfile.ZipFile(path, "w") as wheel:
+        for each in package.rglob("*"):
+            if each.suffix in (".py", ".json", ".safetensors"):
+                wheel.write(each, f"segloc/{each.relative_to(package)}")
+        wheel.write(native, f"segloc/{native.name}")
+    scan = MemoryRecording([harness.Plaza().scan(np.eye(4)).points])
+    work = works.Work("a scan", "stages", [works.Input([scan])])
+    with versions.commands(path) as found:
+        assert dict(versions.rows_of("", versions.in_turns(found, work, 1, 1)))
+    with zipfile.ZipFile(path, "a") as wheel, pytest.warns(UserWarning, match="Duplicate"):
+        wheel.writestr("segloc/__init__.py", "raise SystemExit('this is the wheel')")
+    with versions.commands(path) as found, pytest.raises(SeglocError, match="worker ended"):
+        versions.in_turns(found, work, 1, 1)
 
 
 @pytest.mark.slow

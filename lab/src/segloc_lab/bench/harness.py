@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,7 +33,9 @@ _BUDGET_S = 2.0
 _SETTLE_S = 0.1
 _WAKE_S = 0.05
 _MIN_RUNS = 2
-_SGEMM, _SGEMM_SIZE = "sgemm", 1024
+_BOUND = "bound"
+_SGEMM_SIZE = 1024
+_COPIED = 1 << 27
 _SGEMM_FLOPS = 2.0 * _SGEMM_SIZE**3
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -55,6 +58,8 @@ class Row:
         Parts of our time, or figures beside it; each name ends with its unit.
     skipped : tuple of str
         Rivals that are not installed.
+    note : str
+        How to read the row.
     """
 
     name: str
@@ -65,6 +70,7 @@ class Row:
     bound: str = ""
     details: dict[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
+    note: str = ""
 
 
 def interleaved(runs: Runs, threads: int, repeats: int) -> dict[str, float]:
@@ -105,27 +111,42 @@ def row(
     repeats: int,
     runs: Runs,
     *,
-    flops: tuple[str, float] | None = None,
+    bound: Bound,
     details: Mapping[str, float] | None = None,
     skipped: tuple[str, ...] = (),
+    note: str = "",
 ) -> Row:
-    """Time ``runs``, one of which is :data:`OURS`.
+    """Time ``runs``, one of which is :data:`OURS`, in turns with what bounds them.
 
-    Parameters
-    ----------
-    flops : (str, float), optional
-        Which arithmetic the work cannot do without, and how many operations that is. The bound is
-        the time that NumPy's float32 matrix product needs for as many, measured in turns with the
-        rest. NumPy must have been given the same number of threads: see :func:`in_process`.
+    NumPy must have been given the same number of threads: see :func:`in_process`.
     """
-    if flops is None:
-        times = interleaved(runs, threads, repeats)
-        bound, limit = "", None
-    else:
-        times = interleaved({**runs, _SGEMM: _matrix_product()}, threads, repeats)
-        bound, limit = f"{flops[0]} at sgemm's rate", times.pop(_SGEMM) * flops[1] / _SGEMM_FLOPS
-    ours = times.pop(OURS)
-    return Row(name, threads, ours, times, limit, bound, dict(details or {}), skipped)
+    times = interleaved({**runs, _BOUND: bound.run()}, threads, repeats)
+    limit, ours = times.pop(_BOUND) * bound.share, times.pop(OURS)
+    return Row(name, threads, ours, times, limit, bound.text, dict(details or {}), skipped, note)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What work cannot do without: arithmetic at the rate of NumPy's float32 matrix product, or
+    bytes at the rate of a copy."""
+
+    what: str
+    flops: float = 0.0
+    bytes: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """What the bound is."""
+        return f"{self.what} at {'sgemm' if self.flops else 'a copy'}'s rate"
+
+    @property
+    def share(self) -> float:
+        """The bound over the time of :meth:`run`."""
+        return self.flops / _SGEMM_FLOPS if self.flops else self.bytes / _COPIED
+
+    def run(self) -> Callable[[], object]:
+        """Return the matrix product, or the copy."""
+        return _matrix_product() if self.flops else _copy()
 
 
 def _matrix_product() -> Callable[[], object]:
@@ -133,6 +154,18 @@ def _matrix_product() -> Callable[[], object]:
     a, b = rng.random((2, _SGEMM_SIZE, _SGEMM_SIZE), dtype=np.float32)
     out = np.empty_like(a)
     return lambda: np.matmul(a, b, out=out)
+
+
+def _copy() -> Callable[[], object]:
+    source = np.zeros(_COPIED // 2, np.uint8)
+    target = np.empty_like(source)
+    return lambda: np.copyto(target, source)
+
+
+@cache
+def copy_gb_s() -> float:
+    """Return the rate at which this machine copies memory, bytes read and written [GB/s]."""
+    return _COPIED / interleaved({"": _copy()}, 1, 7)[""] / 1e6
 
 
 def optional(*names: str) -> list[Any] | None:
@@ -146,10 +179,15 @@ def optional(*names: str) -> list[Any] | None:
 def in_process(threads: int, work: Callable[..., Result], *arguments: object) -> Result:
     """Run ``work`` in a fresh process where NumPy and its like use that many threads."""
     with (
-        _environment(dict.fromkeys(_THREAD_VARIABLES, str(threads))),
+        _environment(thread_variables(threads)),
         ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
         return pool.submit(work, *arguments).result()
+
+
+def thread_variables(threads: int) -> dict[str, str]:
+    """Return the environment in which NumPy and its like use that many threads."""
+    return dict.fromkeys(_THREAD_VARIABLES, str(threads))
 
 
 @contextmanager
@@ -167,42 +205,6 @@ def _environment(changes: Mapping[str, str]) -> Iterator[None]:
 
 
 COLUMNS = ("what", "threads", "ours (ms)", "rivals (times ours)", "bound (ms)")
-STREAM_COLUMNS = (
-    "sensor",
-    "points of a scan",
-    "adding (ms)",
-    "cloud of a query (ms)",
-    "the rest of a query (ms)",
-    "a scan, queries included (ms)",
-    "gathering anew (times ours)",
-    "localized",
-)
-SENSORS = {"stream": "HDL-64E", "stream_os1_128": "Ouster OS1-128", "stream_vlp16": "VLP-16"}
-"""Of the streams."""
-QUERY_COLUMNS = (
-    "method",
-    "map segments",
-    "threads",
-    "local cloud",
-    "segmentation",
-    "preparation",
-    "description",
-    "matching",
-    "pose",
-    "verification",
-    "**total (ms)**",
-    "found",
-    "elsewhere (ms)",
-)
-_STAGES = (
-    "local cloud",
-    "segmentation",
-    "preprocessing",
-    "descriptor",
-    "matching",
-    "pose",
-    "verification",
-)
 
 
 def table_rows(row: Row) -> list[tuple[str, str, str]]:
@@ -234,59 +236,20 @@ def _ratio(theirs: float, ours: float) -> str:
     return f"{theirs / ours:.1f}" if theirs > ours else f"{theirs / ours:.2f}"
 
 
-def show(rows: Sequence[Row]) -> None:
-    """Print rows as lines of text."""
-    for row in rows:
-        for what, ms, ratio in table_rows(row):
-            print(f"{what:<60} {ms:>9} ms {ratio:>8}")
-        print("".join(f"    {name}: {value:.5g}\n" for name, value in row.details.items()), end="")
-        if row.skipped:
-            print(f"    not installed: {', '.join(row.skipped)}")
-
-
 def tables(rows: Sequence[Row]) -> list[Table]:
-    """Tabulate what ``segloc bench`` measured: kernels and queries, and streams on one thread."""
-    kernels = [_kernel(row) for row in rows if row.name not in SENSORS]
-    streams = [_stream(row) for row in rows if row.name in SENSORS and row.threads == 1]
-    found = [Table(COLUMNS, kernels, title="Kernels and queries")] if kernels else []
-    return [*found, *([Table(STREAM_COLUMNS, streams, title="Streams")] if streams else [])]
-
-
-def query_table(rows: Sequence[tuple[str, Row]]) -> Table:
-    """Tabulate what ``bench.kitti_query`` measured: rows with their methods."""
-    return Table(QUERY_COLUMNS, [_query(method, row) for method, row in rows])
+    """Tabulate kernels beside other software and their bounds; none without rows."""
+    notes = "; ".join(f"`{row.name}`: {row.note}" for row in rows if row.note)
+    return [Table(COLUMNS, [_kernel(row) for row in rows], notes, "Kernels")] if rows else []
 
 
 def _kernel(row: Row) -> tuple[Cell, ...]:
     rivals = "; ".join(f"{name} {ratio}x" for name, _, ratio in rivals_of(row))
     bound = None
     if row.bound_ms is not None:
-        bound = f"{row.bound_ms:.2f} ({100 * row.bound_ms / row.ours_ms:.0f} % of ours)"
+        bound = (
+            f"{row.bound_ms:.3g} ({100 * row.bound_ms / row.ours_ms:.0f} % of ours), {row.bound}"
+        )
     return f"`{row.name}`", row.threads, rounded(row.ours_ms), rivals or None, bound
-
-
-def _stream(row: Row) -> tuple[Cell, ...]:
-    found, (rival,) = row.details, row.rivals.values()
-    names = ("adding and dropping, ms a scan", "local cloud, ms a query")
-    parts = (*(found[name] for name in names), found["total of the rest of a query, ms"])
-    correct = round(found[f"correct, {OURS}"])
-    return (
-        SENSORS[row.name],
-        round(found["points of a scan"]),
-        *map(rounded, (*parts, row.ours_ms)),
-        round(rival / row.ours_ms, 1),
-        f"{correct} of {found['queries']:.0f}",
-    )
-
-
-def _query(method: str, row: Row) -> tuple[Cell, ...]:
-    found = row.details
-    stages = (round(found[f"{name}, ms"], 1) for name in _STAGES)
-    share = f"{found['correct']:.0f} of {found['queries']:.0f}"
-    segments = round(found["map segments"])
-    elsewhere = found.get("elsewhere, ms")
-    times = None if elsewhere is None else f"{elsewhere:.1f} ({elsewhere / row.ours_ms:.1f}x)"
-    return method, segments, row.threads, *stages, round(row.ours_ms, 1), share, times
 
 
 SENSOR_HEIGHT_M = 1.8

@@ -16,7 +16,7 @@ from segloc.system import kernels
 from segloc.types import Float32
 
 from . import harness
-from .harness import OURS, Row, optional, row
+from .harness import OURS, Bound, Row, optional, row
 
 SEGMENTS, DIM = 300, 16
 CHUNKS = (10, 30, 100)
@@ -25,12 +25,12 @@ CHUNKS = (10, 30, 100)
 def network(threads: int, repeats: int) -> Row:
     """DSM against PyTorch and ONNX Runtime, which are handed the neighbours for nothing."""
     prepared = prepared_segments(SEGMENTS)
-    flops = "its arithmetic", float(sum(layer_flops(DSM_LAYERS)) * SEGMENTS)
+    bound = Bound("its arithmetic", flops=float(sum(layer_flops(DSM_LAYERS)) * SEGMENTS))
     torch = optional("torch")
     if torch is None:
         engine = build(DSM_LAYERS, random_tensors(DSM_LAYERS))
         runs = {OURS: partial(engine.describe, prepared, threads)}
-        return row("network", threads, repeats, runs, flops=flops, skipped=("torch", "onnxruntime"))
+        return row("network", threads, repeats, runs, bound=bound, skipped=("torch", "onnxruntime"))
     model, tensors = _torch_model(torch[0], threads)
     engine = build(DSM_LAYERS, tensors)
     runs = {OURS: partial(engine.describe, prepared, threads)}
@@ -42,7 +42,7 @@ def network(threads: int, repeats: int) -> Row:
         runs[name] = _onnx_run((torch[0], found[2]), model, prepared, size, threads)
     _check(runs)
     skipped = () if found else ("onnxruntime",)
-    return row("network", threads, repeats, runs, flops=flops, skipped=skipped)
+    return row("network", threads, repeats, runs, bound=bound, skipped=skipped)
 
 
 def dsm_vs_esm(threads: int, repeats: int) -> Row:
@@ -54,9 +54,9 @@ def dsm_vs_esm(threads: int, repeats: int) -> Row:
         OURS: partial(engines["dsm"].describe, prepared, threads),
         "esm": partial(engines["esm"].describe, prepared, threads),
     }
-    arithmetic = "its arithmetic", float(flops["dsm"] * SEGMENTS)
+    bound = Bound("its arithmetic", flops=float(flops["dsm"] * SEGMENTS))
     details = {f"{name}, MFLOP a segment": count / 1e6 for name, count in flops.items()}
-    return row("dsm_vs_esm", threads, repeats, runs, flops=arithmetic, details=details)
+    return row("dsm_vs_esm", threads, repeats, runs, bound=bound, details=details)
 
 
 def _both() -> dict[str, Sequence[Layer]]:

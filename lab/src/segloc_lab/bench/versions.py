@@ -1,260 +1,203 @@
-"""The times of this and of another installed version of segloc, in turns.
-
-    python -m segloc_lab.bench.versions [--data FOLDER] [--against PYTHON] [--report FOLDER]
-
-Both versions run in processes of their own, one scan after the other in turns, on one thread, and
-report the processor time of each stage, of whole queries that are found in a map or refused, and
-of building a map, aligning two sessions and driving on in a map with a query at every tenth scan.
-Stages of whole queries are timed by the wall in versions whose localizer takes no clock.
-``--against`` is the interpreter of an environment that has the other version of segloc. Scans of
-``--data`` are real where it has them, else simulated.
-"""
+"""Work timed in processes of their own: by this version of segloc, and by another in turns."""
 
 from __future__ import annotations
 
+import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+import time
+import zipfile
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from segloc import MemoryRecording, Recording, SegmentMap
-from segloc.map import DEFAULT_METHOD
-from segloc.types import Float32
+from segloc.errors import ConfigError, SeglocError
 
-from ..padding import padded_with_copies
-from ..report import Cell, Table, publish, reporting
-from .query import MAP_SEGMENTS, simulated_scene
-from .stream import Stream, simulated_stream
+from ..report import Cell, Table
+from .harness import OURS, copy_gb_s, thread_variables
+from .works import Input, Work
 
-OURS, OTHER = "this", "other"
+OTHER = "other"
 COLUMNS = ("of", "stage", "this", "95 %", "other", "95 %", "ratio", "of 95 %")
-_WORKER = Path(__file__).with_name("versions_worker.py")
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_BANDWIDTH_BYTES = 1 << 26
-_SCANS, _QUERIES = 4, 12
-_MAPPED, _ALIGNED_M = 60, 150.0
-"""Scans of a map, and length of each session to align."""
+BUDGET_S = 20.0
+"""Time after which work is not repeated any more."""
+_MIN_ROUNDS = 2
+_WORKER = Path(__file__).with_name("worker.py")
+_BESIDE = (
+    "import runpy, sys; sys.path[:0] = {!r}; del sys.argv[0]; runpy.run_path({!r}, None, {!r})"
+)
+
+Command = list[str]
+"""The beginning of the command line of a worker."""
+
+
+@contextmanager
+def commands(against: Path | None) -> Iterator[dict[str, Command]]:
+    """Yield how workers of this and of another version are started.
+
+    Parameters
+    ----------
+    against : Path, optional
+        The other version: the interpreter of an environment that has it, or its wheel, which is
+        unpacked and run with the packages of this environment.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file.
+    """
+    isolated = ["-I", str(_WORKER)]
+    found = {OURS: [sys.executable, *isolated]}
+    if against is not None and not against.is_file():
+        raise ConfigError(f"--against {against}: no such file; pass an interpreter or a wheel")
+    with tempfile.TemporaryDirectory() as folder:
+        if against is not None and against.suffix == ".whl":
+            with zipfile.ZipFile(against) as wheel:
+                wheel.extractall(folder)
+            beside = _BESIDE.format([folder, *sys.path])
+            found[OTHER] = [sys.executable, "-I", "-S", "-c", beside, str(_WORKER)]
+        elif against is not None:
+            found[OTHER] = [str(against), *isolated]
+        yield found
 
 
 class Worker:
     """One version of segloc, in a process of its own."""
 
-    def __init__(self, python: str, process: subprocess.Popen[str]) -> None:
-        self.python, self._process = python, process
+    def __init__(self, command: Command, process: subprocess.Popen[str]) -> None:
+        self._command, self._process = command, process
 
-    def measure(self, path: Path) -> dict[str, float]:
-        """Milliseconds of each stage for the scan in a file."""
+    def measure(self, path: Path) -> tuple[dict[str, float], dict[str, int]]:
+        """Return the milliseconds of each stage for a file, and counts of answers."""
         assert self._process.stdin is not None and self._process.stdout is not None
         print(path, file=self._process.stdin, flush=True)
         line = self._process.stdout.readline()
         if not line:
-            raise ChildProcessError(f"{self.python} {_WORKER.name} ended: is segloc installed?")
-        pairs = (pair.rsplit("=", 1) for pair in line.strip().split(";"))
-        return {stage: float(ms) for stage, ms in pairs}
+            raise SeglocError(f"{self._command[0]}: the worker ended; is segloc installed there?")
+        found = json.loads(line)
+        return found["ms"], found["counts"]
 
 
 @contextmanager
-def worker(python: str, work: str, prior_map: Path | None = None) -> Iterator[Worker]:
+def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -> Iterator[Worker]:
     """Start a worker for one kind of work; its imports are those of its interpreter alone."""
-    environment, pipe = {**os.environ, **_ONE_THREAD}, subprocess.PIPE
-    where = [] if prior_map is None else [str(prior_map)]
-    command = [python, "-I", str(_WORKER), work, *where]
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
-        yield Worker(python, process)
+    environment, pipe = {**os.environ, **thread_variables(threads)}, subprocess.PIPE
+    where = [] if prior_map is None else ["--map", str(prior_map)]
+    given = [*command, work.kind, "--threads", str(threads), *where]
+    with subprocess.Popen(given, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
+        yield Worker(command, process)
         assert process.stdin is not None
         process.stdin.close()
 
 
-Times = dict[str, list[float]]
-"""Milliseconds of each stage, run by run."""
+@dataclass
+class Measured:
+    """What one version needed.
+
+    Attributes
+    ----------
+    ms : dict of str to list of float
+        Of each stage, run by run.
+    counts : Counter of str
+        Answers to all inputs, by kind.
+    """
+
+    ms: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def median(self, stage: str) -> float:
+        """Return the median of a stage [ms]; NaN if it never ran."""
+        return float(np.median(self.ms.get(stage, [np.nan])))
 
 
 def in_turns(
-    pythons: dict[str, str],
-    work: str,
-    inputs: Sequence[Float32 | Sequence[Recording]],
-    repeats: int,
-    prior_map: SegmentMap | None = None,
-) -> dict[str, Times]:
-    """Time work on scans, or on groups of recordings; versions in turns, input by input."""
-    times: dict[str, Times] = {name: {} for name in pythons}
+    versions: Mapping[str, Command], work: Work, threads: int, repeats: int
+) -> dict[str, Measured]:
+    """Time work; versions in turns, input by input, after a round that warms up."""
+    measured = {name: Measured() for name in versions}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        where = None if prior_map is None else folder / "a.segmap"
-        if prior_map is not None and where is not None:
-            prior_map.save(where)
+        where = None if work.prior_map is None else folder / "a.segmap"
+        if work.prior_map is not None and where is not None:
+            work.prior_map.save(where)
         workers = {
-            name: stack.enter_context(worker(each, work, where)) for name, each in pythons.items()
+            name: stack.enter_context(worker(command, work, threads, where))
+            for name, command in versions.items()
         }
-        paths = [_written(folder / str(i), each) for i, each in enumerate(inputs)]
+        paths = [write(folder / f"{i}.npz", each) for i, each in enumerate(work.inputs)]
         for path in paths:
-            for each in workers.values():
-                each.measure(path)
-        for _ in range(repeats):
+            for name, each in workers.items():
+                measured[name].counts.update(each.measure(path)[1])
+        start = time.monotonic()
+        for done in range(repeats):
+            if done >= _MIN_ROUNDS and time.monotonic() - start > BUDGET_S:
+                break
             for path in paths:
                 for name, each in workers.items():
-                    for stage, ms in each.measure(path).items():
-                        times[name].setdefault(stage, []).append(ms)
-    return times
+                    for stage, ms in each.measure(path)[0].items():
+                        measured[name].ms[stage].append(ms)
+    return measured
 
 
-def _written(path: Path, given: Float32 | Sequence[Recording]) -> Path:
+def write(path: Path, given: Input) -> Path:
     """Write an input of a worker; return its file."""
-    if isinstance(given, np.ndarray):
-        np.save(path.with_suffix(".npy"), given)
-        return path.with_suffix(".npy")
-    columns: dict[str, Any] = {}
-    for k, recording in enumerate(given):
+    columns: dict[str, Any] = {} if given.truths is None else {"truths": given.truths}
+    for k, recording in enumerate(given.recordings):
         scans = [recording.scan(i) for i in range(len(recording))]
         columns |= {
             f"{k}/points": np.concatenate([scan.points for scan in scans]),
             f"{k}/offsets": np.cumsum([0, *map(len, scans)]),
-            f"{k}/poses": recording.poses,
             f"{k}/stamps": recording.indices if recording.stamps is None else recording.stamps,
         }
-    np.savez(path.with_suffix(".npz"), **columns)
-    return path.with_suffix(".npz")
+        if recording.poses is not None:
+            columns[f"{k}/poses"] = recording.poses
+    np.savez(path, allow_pickle=False, **columns)
+    return path
 
 
-def copy_gb_s() -> float:
-    """The rate at which this machine copies memory, bytes read and written, GB/s."""
-    source = np.zeros(_BANDWIDTH_BYTES, np.uint8)
-    target = np.empty_like(source)
-    from .harness import interleaved
-
-    ms = interleaved({"copy": lambda: np.copyto(target, source)}, 1, 7)["copy"]
-    return 2.0 * _BANDWIDTH_BYTES / ms / 1e6
-
-
-def _simulated(name: str, firings: int | None) -> Callable[[], list[Float32]]:
-    def scans() -> list[Float32]:
-        from ..simulation import SENSORS, Route, simulate_session, town
-
-        lidar = SENSORS[name]() if firings is None else SENSORS[name](firings)
-        world = town(0, size_m=200.0)
-        junctions = tuple(world.roads.walk(np.random.default_rng(0), [0], 100.0, avoid=[]))
-        drive = simulate_session(world, 0, Route(junctions, length_m=100.0), lidar, 0)
-        chosen = np.linspace(0, len(drive) - 1, _SCANS).astype(int)
-        return [drive.scan(int(i)).points for i in chosen]
-
-    return scans
+def measure(
+    versions: Mapping[str, Command], work: Work, threads: int, repeats: int
+) -> Iterator[Sequence[Cell]]:
+    """Time work; return rows of the table, the first with the bound of a scan's stages."""
+    title = work.title if threads == 1 else f"{work.title}, {threads} threads"
+    if work.kind == "stages":
+        points = float(np.median([len(each.recordings[0].scan(0)) for each in work.inputs]))
+        ms = 12.0 * points / copy_gb_s() / 1e6
+        yield (title, f"bound: one pass over {points:.0f} points", f"{ms:.3f}", *[None] * 5)
+    yield from rows_of(title, in_turns(versions, work, threads, repeats))
 
 
-SIMULATED = {
-    "HDL-64E": _simulated("hdl64e", 1875),
-    "OS1-128": _simulated("os1-128", 1024),
-    "VLP-16": _simulated("vlp16", 1800),
-    "MID-360": _simulated("mid360", None),
-}
-REAL = {
-    "HDL-64E": "kitti00/scans",
-    "VLP-16": "vlp16_corridor/scans",
-    "MID-360": "mid360_lab/0618/scans",
-}
-"""Where ``../shared/data`` has scans of a sensor; those of the MID-360 are crops of a map."""
+def rows_of(title: str, measured: Mapping[str, Measured]) -> Iterator[Sequence[Cell]]:
+    """Return the counts of answers, and the median and 95th percentile of each stage with their
+    ratios to the other version's; last, how many times as long a refusal takes as an answer."""
+    versions = measured[OURS], measured.get(OTHER, Measured())
+    for kind in sorted({kind for each in versions for kind in each.counts}):
+        counts = [each.counts[kind] if each.ms else None for each in versions]
+        yield (title, f"answers: {kind}", counts[0], None, counts[1], *[None] * 3)
+    for stage in dict.fromkeys(stage for each in versions for stage in each.ms):
+        ours, other = (np.percentile(each.ms.get(stage, [np.nan]), (50, 95)) for each in versions)
+        yield (title, stage, *map(_cell, (*ours, *other, *(ours / other))))
+    if all(kind in versions[0].ms for kind in ("found", "refused")):
+        ratios = (_cell(each.median("refused") / each.median("found")) for each in versions)
+        yield (title, "refused over found", next(ratios), None, next(ratios), *[None] * 3)
 
 
-def sensors(data: Path | None) -> dict[str, list[Float32]]:
-    """A few scans of each sensor."""
-    found: dict[str, list[Float32]] = {}
-    for name, simulated in SIMULATED.items():
-        files = sorted((data / REAL[name]).glob("*.laz")) if data and name in REAL else []
-        if not files:
-            found[f"{name}, simulated"] = simulated()
-            continue
-        from segloc.io import read_scan
-
-        chosen = np.linspace(0, len(files) - 1, _SCANS).astype(int)
-        found[f"{name}, {REAL[name]}"] = [read_scan(files[i]).points for i in chosen]
-    return found
+def _cell(value: float) -> Cell:
+    return f"{value:.2f}" if np.isfinite(value) else None
 
 
-def scene_of(data: Path | None, segments: int) -> tuple[SegmentMap, list[Float32]]:
-    """Return a map with a number of segments, and single scans of it and of other places."""
-    if data and (data / "kitti00").is_dir():
-        from .kitti_query import kitti_scene
-
-        scene = kitti_scene(data / "kitti00", DEFAULT_METHOD, _QUERIES)
-    else:
-        scene = simulated_scene(1, queries=_SCANS)
-    queries = [*(scan for scan, _ in scene.queries), *scene.elsewhere]
-    return padded_with_copies(scene.prior_map, segments), [query.points for query in queries]
-
-
-def drives(data: Path | None) -> tuple[Recording, list[Recording], Stream]:
-    """A drive to map, two sessions to align, and a stream in a map."""
-    from ..simulation import Route, hdl64e, simulate_session, town
-
-    world = town(0, size_m=200.0)
-    junctions = tuple(world.roads.walk(np.random.default_rng(0), [0], _ALIGNED_M, avoid=[]))
-    route, again = (Route(junctions, aside, length_m=_ALIGNED_M) for aside in (0.0, 0.3))
-    sessions: list[Recording] = [
-        simulate_session(world, k, each, hdl64e(900), k).with_odometry()
-        for k, each in enumerate((route, again))
-    ]
-    stream = simulated_stream("hdl64e", 1875)
-    if data and (data / "kitti00").is_dir():
-        from .. import kitti00
-
-        scans = kitti00.mapped(data / "kitti00", "single")
-        poses = kitti00.poses_of(scans)[:_MAPPED]
-        drive: Recording = MemoryRecording([scans.scan(i) for i in range(len(poses))], poses)
-    else:
-        drive = simulate_session(world, 0, route, hdl64e(1875), 0)
-    return drive, sessions, stream
-
-
-def rows_of(name: str, found: dict[str, Times]) -> Iterator[Sequence[Cell]]:
-    """Median and 95th percentile of each stage, and their ratios to the other version's."""
-    for stage, ms in found[OURS].items():
-        ours = np.percentile(ms, (50, 95))
-        cells = [f"{each:.2f}" for each in ours]
-        if stage in found.get(OTHER, {}):
-            other = np.percentile(found[OTHER][stage], (50, 95))
-            cells += [f"{each:.2f}" for each in (*other, *(ours / other))]
-        yield (name, stage, *cells, *[None] * (6 - len(cells)))
-
-
-def main() -> None:
-    parsed = reporting(__doc__)
-    parsed.add_argument("--segments", type=int, default=MAP_SEGMENTS, help="of the map")
-    parsed.add_argument("--data", type=Path)
-    parsed.add_argument("--against", metavar="PYTHON", help="interpreter of the other version")
-    parsed.add_argument("--repeats", type=int, default=20)
-    parsed.add_argument("--long-repeats", type=int, default=3, help="of what takes seconds")
-    options = parsed.parse_args()
-    pythons = {OURS: sys.executable}
-    if options.against:
-        pythons[OTHER] = options.against
-    rate = copy_gb_s()
-    rows: list[Sequence[Cell]] = []
-    for name, scans in sensors(options.data).items():
-        points = statistics.median(len(each) for each in scans)
-        bound_ms = 12.0 * points / rate / 1e6
-        rows.append((name, f"one pass over {points:.0f} points", f"{bound_ms:.3f}", *[None] * 5))
-        rows.extend(rows_of(name, in_turns(pythons, "stages", scans, options.repeats)))
-    prior_map, queries = scene_of(options.data, options.segments)
-    found = in_turns(pythons, "query", queries, options.repeats, prior_map)
-    rows.extend(rows_of(f"query, {len(prior_map)} segments", found))
-    drive, sessions, stream = drives(options.data)
-    streamed = MemoryRecording(stream.scans)
-    for name, work, given, place in (
-        (f"{len(drive)} scans", "build", [drive], None),
-        (f"2 sessions of {_ALIGNED_M:.0f} m", "align", sessions, None),
-        (f"{len(streamed)} scans", "stream", [streamed], stream.prior_map),
-    ):
-        found = in_turns(pythons, work, [given], options.long_repeats, place)
-        rows.extend(rows_of(name, found))
-    note = f"Milliseconds of processor time of one thread. Memory is copied at {rate:.1f} GB/s."
-    publish(options.report, "Two versions in turns", Table(COLUMNS, rows, note))
-
-
-if __name__ == "__main__":
-    main()
+def tables(rows: Sequence[Sequence[Cell]]) -> list[Table]:
+    """Tabulate whole work; none without rows."""
+    note = (
+        "Milliseconds, median and 95th percentile: of the processor for one thread, of the wall "
+        "for several. Stages of queries are timed by the wall in versions whose localizer takes no "
+        f"clock. Memory is copied at {copy_gb_s():.1f} GB/s."
+    )
+    return [Table(COLUMNS, rows, note, "Whole work")] if rows else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,43 +14,97 @@ from segloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from ..bench.harness import Row
+    from ..report import Cell
 
-BENCHMARKS = {
+KERNELS = {
+    "gravity": "front",
+    "ground": "front",
+    "clustering": "geometric",
+    "description": "front",
+    "knn": "geometric",
+    "pose": "geometric",
+    "overlap": "geometric",
+    "icp": "geometric",
     "fps": "fps",
     "network": "network",
     "dsm_vs_esm": "network",
-    "clustering": "geometric",
-    "knn": "geometric",
-    "pose": "geometric",
-    "icp": "geometric",
-    "query": "query",
-    "stream": "stream",
-    "stream_os1_128": "stream",
-    "stream_vlp16": "stream",
 }
-"""Modules of ``segloc_lab.bench`` by benchmark."""
+"""Modules of ``segloc_lab.bench`` by kernel; each is timed beside other software and its bound."""
+
+WORKS = (
+    "stages",
+    "query",
+    "million",
+    "accumulated",
+    "os1_128",
+    "build",
+    "align",
+    "stream",
+    "stream_os1_128",
+    "stream_vlp16",
+)
+"""Whole work, in ``segloc_lab.bench.works``; it is timed beside other versions."""
 
 
-def benchmark(name: str) -> Callable[[int, int], Row]:
-    """Load a benchmark: a function of (threads, repeats)."""
+def kernel(name: str) -> Callable[[int, int], Row]:
+    """Load the benchmark of a kernel: a function of (threads, repeats)."""
     found: Callable[[int, int], Row] = getattr(
-        import_module(f"segloc_lab.bench.{BENCHMARKS[name]}"), name
+        import_module(f"segloc_lab.bench.{KERNELS[name]}"), name
     )
     return found
 
 
-def run(names: Sequence[str], threads: Sequence[int], repeats: int) -> Iterator[Row]:
-    """Run benchmarks one after another, each in its own process."""
-    for name in names:
-        if name not in BENCHMARKS:
-            raise ConfigError(f"no benchmark {name!r}; available: {', '.join(BENCHMARKS)}")
-    from ..bench.harness import in_process
+@dataclass(frozen=True)
+class Plan:
+    """What is timed.
 
-    if repeats < 1 or min(threads, default=0) < 1:
-        raise ConfigError("threads and repeats must be at least 1")
-    return (
-        in_process(count, benchmark(name), count, repeats) for name in names for count in threads
-    )
+    Attributes
+    ----------
+    names : tuple of str
+        Of :data:`KERNELS` and :data:`WORKS`.
+    threads : tuple of int
+        Numbers of threads.
+    repeats : int
+        Runs; the median counts.
+    data : Path or None
+        Folder of real recordings.
+    against : Path or None
+        Interpreter or wheel of another version, for works.
+    """
+
+    names: tuple[str, ...]
+    threads: tuple[int, ...] = (1,)
+    repeats: int = 9
+    data: Path | None = None
+    against: Path | None = None
+
+    def __post_init__(self) -> None:
+        known = WORKS if self.against else (*KERNELS, *WORKS)
+        for name in self.names:
+            if name not in known:
+                beside = " beside another version" if self.against else ""
+                raise ConfigError(f"no benchmark {name!r}{beside}; available: {', '.join(known)}")
+        if self.repeats < 1 or min(self.threads, default=0) < 1:
+            raise ConfigError("threads and repeats must be at least 1")
+
+    def kernels(self) -> Iterator[Row]:
+        """Time kernels one after another, each in its own process."""
+        from ..bench.harness import in_process
+
+        for name in self.names:
+            for threads in self.threads if name in KERNELS else ():
+                yield in_process(threads, kernel(name), threads, self.repeats)
+
+    def works(self) -> Iterator[Sequence[Cell]]:
+        """Time whole work; yield rows of its table."""
+        from ..bench.versions import commands, measure
+        from ..bench.works import WORKS
+
+        with commands(self.against) as versions:
+            for name in self.names:
+                for work in WORKS[name](self.data) if name in WORKS else ():
+                    for threads in self.threads:
+                        yield from measure(versions, work, threads, self.repeats)
 
 
 def bench(
@@ -58,13 +113,22 @@ def bench(
     ] = None,
     threads: Annotated[
         str, typer.Option(metavar="N,...", help="Numbers of threads to run with.")
-    ] = "1,2",
+    ] = "1",
     repeats: Annotated[int, typer.Option(min=1, help="Number of runs; the median counts.")] = 9,
+    data: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Recordings; simulated without.")
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PYTHON|WHEEL", help="Another version, timed in turns; whole work only."
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
     ] = None,
 ) -> None:
-    """Compare the engine's speed with other software, and with the processor's limits.
+    """Compare speed with other software, the processor's limits, and other versions.
 
     Other software that is not installed is skipped; segloc-lab[bench] installs it.
     """
@@ -73,25 +137,23 @@ def bench(
     from segloc.cli.console import busy, note
     from segloc.system.machine import processor
 
-    from ..bench.harness import tables
     from ..report import require_new, write
 
     require_new(report)
-    rows: list[Row] = []
-    measurements = run(_names(only, list(BENCHMARKS)), _numbers(threads), repeats)
-    while True:
-        with busy("Measuring"):
-            row = next(measurements, None)
-        if row is None:
-            break
-        rows.append(row)
-    machine = f"{processor()}, {os.cpu_count()} cores, {_isa()}"
-    _show(rows, machine)
-    skipped = sorted({name for row in rows for name in row.skipped})
+    every = WORKS if against else (*KERNELS, *WORKS)
+    names = every if only is None else tuple(name.strip() for name in only.split(","))
+    plan = Plan(names, _numbers(threads), repeats, data, against)
+    with busy("Measuring"):
+        kernels, works = list(plan.kernels()), list(plan.works())
+    _show(kernels, works, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
+    skipped = sorted({name for row in kernels for name in row.skipped})
     if skipped:
         note(f"not installed, so not measured: {', '.join(skipped)}")
     if report is not None:
-        print(write(report, "Kernels, queries and streams", tables(rows)))
+        from ..bench import harness, versions
+
+        parts = harness.tables(kernels) + versions.tables(works)
+        print(write(report, "Kernels and whole work", parts))
 
 
 def _isa() -> str:
@@ -100,26 +162,29 @@ def _isa() -> str:
     return instruction_set()
 
 
-def _names(only: str | None, every: list[str]) -> list[str]:
-    return every if only is None else [name.strip() for name in only.split(",")]
-
-
-def _numbers(text: str) -> list[int]:
+def _numbers(text: str) -> tuple[int, ...]:
     try:
-        return [int(part) for part in text.split(",")]
+        return tuple(int(part) for part in text.split(","))
     except ValueError as error:
         raise ConfigError(f"--threads expects numbers separated by commas, not {text!r}") from error
 
 
-def _show(rows: list[Row], title: str) -> None:
+def _show(kernels: Sequence[Row], works: Sequence[Sequence[Cell]], title: str) -> None:
     from segloc.cli.console import table
     from segloc.system.text import counted
 
     from ..bench.harness import table_rows
 
-    lines = [line for row in rows for line in table_rows(row)]
-    table(title, ("", "ms", "ratio"), lines)
-    for row in rows:
-        if row.details:
-            text = ", ".join(f"{name} {value:.4g}" for name, value in row.details.items())
-            print(f"{row.name}, {counted(row.threads, 'threads')}: {text}")
+    if kernels:
+        lines = [line for row in kernels for line in table_rows(row)]
+        table(title, ("", "ms", "ratio"), lines)
+    for row in kernels:
+        figures = [f"{name} {value:.4g}" for name, value in row.details.items()]
+        told = [*figures, *([row.note] if row.note else [])]
+        if told:
+            print(f"{row.name}, {counted(row.threads, 'threads')}: {', '.join(told)}")
+    if works:
+        from ..bench.versions import COLUMNS
+
+        cells = [["" if cell is None else str(cell) for cell in row] for row in works]
+        table(title, COLUMNS, cells, (0, 1))
