@@ -60,6 +60,7 @@ def small(monkeypatch):
         (works, "MAP_SEGMENTS", 1500),
         (works, "MILLION", 2000),
         (works, "ASIDE_M", 20.0),
+        (works, "ALIGNED_M", 20.0),
     ):
         monkeypatch.setattr(module, constant, value)
     monkeypatch.setattr(works, "drive", partial(walked, harness.Plaza(size_m=150.0)))
@@ -77,10 +78,9 @@ class Walked(harness.PlazaWalk):
         return self
 
 
-def walked(plaza, sensor, firings, *, seed=0, **_):
-    walk = Walked(plaza if seed == 0 else harness.Plaza(seed, size_m=150.0), steps=22)
-    walk.name = sensor
-    return walk
+def walked(plaza, sensor, firings, *, seed=0, length_m=88.0, **_):
+    there = plaza if seed == 0 else harness.Plaza(seed, size_m=150.0)
+    return Walked(there, steps=int(length_m / 4))
 
 
 @pytest.mark.slow
@@ -122,9 +122,10 @@ def test_work_is_timed_beside_a_wheel(tmp_path):
     scan = MemoryRecording([harness.Plaza().scan(np.eye(4)).points])
     work = works.Work("a scan", "stages", [works.Input([scan])])
     with versions.commands(path) as found:
-        assert dict(versions.rows_of("", versions.in_turns(found, work, 1, 1)))
-    with zipfile.ZipFile(path, "a") as wheel, pytest.warns(UserWarning, match="Duplicate"):
-        wheel.writestr("segloc/__init__.py", "raise SystemExit('this is the wheel')")
+        measured = versions.in_turns(found, work, 1, 1)
+    assert measured[versions.OTHER].ms.keys() == measured[harness.OURS].ms.keys() != set()
+    with zipfile.ZipFile(path, "w") as wheel:
+        wheel.writestr("segloc/__init__.py", "raise SystemExit")
     with versions.commands(path) as found, pytest.raises(SeglocError, match="worker ended"):
         versions.in_turns(found, work, 1, 1)
 

@@ -11,7 +11,7 @@ import time
 import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,11 @@ BUDGET_S = 20.0
 """Time after which work is not repeated any more."""
 _MIN_ROUNDS = 2
 _WORKER = Path(__file__).with_name("worker.py")
-_BESIDE = (
-    "import runpy, sys; sys.path[:0] = {!r}; del sys.argv[0]; runpy.run_path({!r}, None, {!r})"
-)
+_BESIDE = """\
+import runpy, sys
+sys.path[:0] = {!r}
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name="__main__")"""
 
 Command = list[str]
 """The beginning of the command line of a worker."""
@@ -77,7 +79,8 @@ class Worker:
     def measure(self, path: Path) -> tuple[dict[str, float], dict[str, int]]:
         """Return the milliseconds of each stage for a file, and counts of answers."""
         assert self._process.stdin is not None and self._process.stdout is not None
-        print(path, file=self._process.stdin, flush=True)
+        with suppress(BrokenPipeError):
+            print(path, file=self._process.stdin, flush=True)
         line = self._process.stdout.readline()
         if not line:
             raise SeglocError(f"{self._command[0]}: the worker ended; is segloc installed there?")
@@ -92,9 +95,12 @@ def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -
     where = [] if prior_map is None else ["--map", str(prior_map)]
     given = [*command, work.kind, "--threads", str(threads), *where]
     with subprocess.Popen(given, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
-        yield Worker(command, process)
-        assert process.stdin is not None
-        process.stdin.close()
+        try:
+            yield Worker(command, process)
+        finally:
+            assert process.stdin is not None
+            with suppress(BrokenPipeError):  # of a worker that ended
+                process.stdin.close()
 
 
 @dataclass

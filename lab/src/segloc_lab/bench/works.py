@@ -27,7 +27,7 @@ SCANS, QUERIES = 4, 12
 BUILT = 60
 """Scans of a map."""
 
-TOWN_M, STREET_M, STREAM_M = 250.0, 150.0, 82.0
+TOWN_M, STREET_M, STREAM_M, ALIGNED_M = 250.0, 150.0, 82.0, 150.0
 ASIDE_M = 10.0
 """Distance of the first query from the beginning of a street."""
 
@@ -102,8 +102,8 @@ def build(data: Path | None) -> Iterator[Work]:
 
 def align(_: Path | None) -> Iterator[Work]:
     """Align two simulated sessions with drifting odometry."""
-    sessions = [drive("hdl64e", 900, session=session).with_odometry() for session in (0, 1)]
-    yield Work("aligning 2 sessions", "align", [Input(sessions)])
+    drives = (drive("hdl64e", 900, session=session, length_m=ALIGNED_M) for session in (0, 1))
+    yield Work("aligning 2 sessions", "align", [Input([each.with_odometry() for each in drives])])
 
 
 def stream(_: Path | None) -> Iterator[Work]:
@@ -154,7 +154,7 @@ def followed(sensor: str, firings: int) -> Work:
     later = drive(sensor, firings, session=1, length_m=STREAM_M, spacing_m=1.0)
     prior_map = padded_with_copies(simulated_map(), MAP_SEGMENTS)
     driven = Input([later.with_odometry()], later.truth)
-    return Work(f"stream, {later.sensor.name}", "stream", [driven], prior_map)
+    return Work(f"stream, {sensor}", "stream", [driven], prior_map)
 
 
 # --- recordings -----------------------------------------------------------------------------------
