@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,13 +82,17 @@ class Places:
         return self._targets[view]
 
     def refined(
-        self, query: Query, T_map_query: NDArray[np.float64], view: int
+        self,
+        query: Query,
+        T_map_query: NDArray[np.float64],
+        view: int,
+        limits_m: Sequence[float] = (COARSE_M, FINE_M),
     ) -> tuple[NDArray[np.float64], float]:
         """A pose after GICP, wide and then narrow, and the share of the query that fits there."""
         T = T_map_query.copy()
         T[:3, 3] -= self.origin
         target, tree = self.target(view)
-        for limit in (COARSE_M, FINE_M):
+        for limit in limits_m:
             result = small_gicp.align(
                 target, query.cloud, tree, T, "GICP", max_correspondence_distance=limit
             )

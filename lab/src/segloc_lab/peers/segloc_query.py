@@ -107,7 +107,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
     localizer = Localizer(prior_map, config)
     as_published = Published(localizer) if options.published else None
     for q in todo:
-        cloud = local_cloud(queries, q, config)
+        with answers.timed(q), published.timed(q):
+            cloud = local_cloud(queries, q, config)
         if as_published:
             with published.timed(q):
                 best = as_published.best(cloud)

@@ -76,6 +76,7 @@ PEERS = {
     "scan-context": Peer(
         "scan_context", "small_gicp", ("scan_context", "scan_context-alone"), (), _CONTEXTS
     ),
+    "small-gicp": Peer("small_gicp_query", "small_gicp", ("small_gicp",)),
     "branch-and-bound": Peer(
         "branch_and_bound",
         "small_gicp",
