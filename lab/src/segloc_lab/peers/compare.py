@@ -63,8 +63,8 @@ NOTE = (
     "recall) rate the confidence, over all thresholds. ms: processor time of a query on one core, "
     "median / 95 %; ms a right answer: that of all queries, refused ones too, divided by the right "
     "answers that are accepted; beside it, how many times segloc's. MB per km: what the system "
-    "keeps of the map, per kilometre of its path. Bold: another system has fewer false answers than "
-    "segloc, or less time a right answer."
+    "keeps of the map, per kilometre of its path. Bold: another system has fewer false answers "
+    "than segloc, or less time a right answer."
 )
 
 Bools = NDArray[np.bool_]
