@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import zipfile
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -61,10 +60,11 @@ def small(monkeypatch):
         (works, "MILLION", 2000),
         (works, "ASIDE_M", 20.0),
         (works, "ALIGNED_M", 20.0),
+        (works, "BUILT", 10),
+        (works, "drive", walked),
+        (front, "drive", walked),
     ):
         monkeypatch.setattr(module, constant, value)
-    monkeypatch.setattr(works, "drive", partial(walked, harness.Plaza(size_m=150.0)))
-    monkeypatch.setattr(front, "drive", works.drive)
 
 
 class Walked(harness.PlazaWalk):
@@ -78,9 +78,8 @@ class Walked(harness.PlazaWalk):
         return self
 
 
-def walked(plaza, sensor, firings, *, seed=0, length_m=88.0, **_):
-    there = plaza if seed == 0 else harness.Plaza(seed, size_m=150.0)
-    return Walked(there, steps=int(length_m / 4))
+def walked(sensor, firings, *, seed=0, length_m=88.0, **_):
+    return Walked(harness.Plaza(seed, objects=100, size_m=150.0), steps=int(length_m / 4))
 
 
 @pytest.mark.slow

