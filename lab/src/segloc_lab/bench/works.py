@@ -207,6 +207,7 @@ def simulated(sensor: str, firings: int, *, length_m: float = 0.0) -> Place:
     return simulated_map(), queries
 
 
+@cache
 def simulated_map() -> SegmentMap:
     """Map a street of a simulated town."""
     return built(drive("hdl64e", 900))

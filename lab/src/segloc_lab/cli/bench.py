@@ -95,8 +95,8 @@ class Plan:
             for threads in self.threads if name in KERNELS else ():
                 yield in_process(threads, kernel(name), threads, self.repeats)
 
-    def works(self) -> Iterator[Sequence[Cell]]:
-        """Time whole work; yield rows of its table."""
+    def works(self) -> Iterator[list[Sequence[Cell]]]:
+        """Time whole work; yield rows of its table, work by work."""
         from ..bench.versions import commands, measure
         from ..bench.works import WORKS
 
@@ -104,7 +104,7 @@ class Plan:
             for name in self.names:
                 for work in WORKS[name](self.data) if name in WORKS else ():
                     for threads in self.threads:
-                        yield from measure(versions, work, threads, self.repeats)
+                        yield list(measure(versions, work, threads, self.repeats))
 
 
 def bench(
@@ -134,9 +134,10 @@ def bench(
     """
     import os
 
-    from segloc.cli.console import busy, note
+    from segloc.cli.console import busy, note, table
     from segloc.system.machine import processor
 
+    from ..bench import harness, versions
     from ..report import require_new, write
 
     require_new(report)
@@ -144,14 +145,21 @@ def bench(
     names = every if only is None else tuple(name.strip() for name in only.split(","))
     plan = Plan(names, _numbers(threads), repeats, data, against)
     with busy("Measuring"):
-        kernels, works = list(plan.kernels()), list(plan.works())
-    _show(kernels, works, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
+        kernels = list(plan.kernels())
+    _show(kernels, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
     skipped = sorted({name for row in kernels for name in row.skipped})
     if skipped:
         note(f"not installed, so not measured: {', '.join(skipped)}")
+    works: list[Sequence[Cell]] = []
+    measurements = plan.works()
+    while True:
+        with busy("Measuring"):
+            rows = next(measurements, None)
+        if rows is None:
+            break
+        table(str(rows[0][0]), versions.COLUMNS[1:], [_texts(row[1:]) for row in rows])
+        works += rows
     if report is not None:
-        from ..bench import harness, versions
-
         parts = harness.tables(kernels) + versions.tables(works)
         print(write(report, "Kernels and whole work", parts))
 
@@ -169,7 +177,7 @@ def _numbers(text: str) -> tuple[int, ...]:
         raise ConfigError(f"--threads expects numbers separated by commas, not {text!r}") from error
 
 
-def _show(kernels: Sequence[Row], works: Sequence[Sequence[Cell]], title: str) -> None:
+def _show(kernels: Sequence[Row], title: str) -> None:
     from segloc.cli.console import table
     from segloc.system.text import counted
 
@@ -183,8 +191,7 @@ def _show(kernels: Sequence[Row], works: Sequence[Sequence[Cell]], title: str) -
         told = [*figures, *([row.note] if row.note else [])]
         if told:
             print(f"{row.name}, {counted(row.threads, 'threads')}: {', '.join(told)}")
-    if works:
-        from ..bench.versions import COLUMNS
 
-        cells = [["" if cell is None else str(cell) for cell in row] for row in works]
-        table(title, COLUMNS, cells, (0, 1))
+
+def _texts(row: Sequence[Cell]) -> list[str]:
+    return ["" if cell is None else str(cell) for cell in row]
