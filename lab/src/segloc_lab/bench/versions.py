@@ -42,7 +42,7 @@ Command = list[str]
 
 @contextmanager
 def commands(against: Path | None) -> Iterator[dict[str, Command]]:
-    """Yield how workers of this and of another version are started.
+    """Yield the commands that start workers of this and of another version.
 
     Parameters
     ----------
@@ -76,16 +76,16 @@ class Worker:
     def __init__(self, command: Command, process: subprocess.Popen[str]) -> None:
         self._command, self._process = command, process
 
-    def measure(self, path: Path) -> tuple[dict[str, float], dict[str, int]]:
-        """Return the milliseconds of each stage for a file, and counts of answers."""
+    def measure(self, path: Path) -> dict[str, Any]:
+        """Return the version, the milliseconds of each stage for a file, and counts of answers."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):
             print(path, file=self._process.stdin, flush=True)
         line = self._process.stdout.readline()
         if not line:
             raise SeglocError(f"{self._command[0]}: the worker ended; is segloc installed there?")
-        found = json.loads(line)
-        return found["ms"], found["counts"]
+        found: dict[str, Any] = json.loads(line)
+        return found
 
 
 @contextmanager
@@ -105,16 +105,18 @@ def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -
 
 @dataclass
 class Measured:
-    """What one version needed.
+    """Times and answers of one version.
 
     Attributes
     ----------
+    version : str or None
     ms : dict of str to list of float
         Of each stage, run by run.
     counts : Counter of str
         Answers to all inputs, by kind.
     """
 
+    version: str | None = None
     ms: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -140,14 +142,16 @@ def in_turns(
         paths = [write(folder / f"{i}.npz", each) for i, each in enumerate(work.inputs)]
         for path in paths:
             for name, each in workers.items():
-                measured[name].counts.update(each.measure(path)[1])
+                found = each.measure(path)
+                measured[name].version = found["version"]
+                measured[name].counts.update(found["counts"])
         start = time.monotonic()
         for done in range(repeats):
             if done >= _MIN_ROUNDS and time.monotonic() - start > BUDGET_S:
                 break
             for path in paths:
                 for name, each in workers.items():
-                    for stage, ms in each.measure(path)[0].items():
+                    for stage, ms in each.measure(path)["ms"].items():
                         measured[name].ms[stage].append(ms)
     return measured
 
@@ -181,9 +185,10 @@ def measure(
 
 
 def rows_of(title: str, measured: Mapping[str, Measured]) -> Iterator[Sequence[Cell]]:
-    """Return the counts of answers, and the median and 95th percentile of each stage with their
+    """Return the versions, the counts of answers, and the median and 95th percentile of each stage with their
     ratios to the other version's; last, how many times as long a refusal takes as an answer."""
     versions = measured[OURS], measured.get(OTHER, Measured())
+    yield (title, "version", versions[0].version, None, versions[1].version, *[None] * 3)
     for kind in sorted({kind for each in versions for kind in each.counts}):
         counts = [each.counts[kind] if each.ms else None for each in versions]
         yield (title, f"answers: {kind}", counts[0], None, counts[1], *[None] * 3)

@@ -4,8 +4,8 @@
 
 It imports nothing but ``segloc``, so that it runs with whatever version an interpreter has. Each
 line of stdin is a file of recordings: scans to process or to localize in a map, or drives to build
-a map of, to align, or to follow in a map. Each line of stdout has the time of its parts, of the
-processor for one thread and of the wall for several, and counts of its answers.
+a map of, to align, or to follow in a map. Each line of stdout has the version, the time of the
+parts, of the processor for one thread and of the wall for several, and counts of the answers.
 """
 
 from __future__ import annotations
@@ -202,7 +202,8 @@ def main() -> None:
     np.ones(_KEPT_BYTES, np.uint8)
     for line in sys.stdin:
         ms, counts = work(read(line.strip()))
-        print(json.dumps({"ms": ms, "counts": counts}), flush=True)
+        found = {"version": segloc.__version__, "ms": ms, "counts": counts}
+        print(json.dumps(found), flush=True)
 
 
 if __name__ == "__main__":

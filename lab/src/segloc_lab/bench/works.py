@@ -27,14 +27,14 @@ SCANS, QUERIES = 4, 12
 BUILT = 60
 """Scans of a map."""
 
-TOWN_M, STREET_M, STREAM_M, ALIGNED_M = 250.0, 150.0, 82.0, 150.0
+TOWN_M, STREET_M, STREAM_M, ALIGNED_M = 250.0, 150.0, 82.0, 100.0
 ASIDE_M = 10.0
 """Distance of the first query from the beginning of a street."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """What a worker is given at once.
+    """Recordings that are processed at once.
 
     Attributes
     ----------
@@ -50,13 +50,13 @@ class Input:
 
 @dataclass(frozen=True)
 class Work:
-    """Work that is timed.
+    """Inputs of one kind of work, which are timed one after another.
 
     Attributes
     ----------
     title : str
     kind : str
-        What a worker does: see ``worker.py``.
+        A method of ``worker.Work``.
     inputs : sequence of Input
     prior_map : SegmentMap or None
     """
