@@ -185,8 +185,11 @@ def measure(
 
 
 def rows_of(title: str, measured: Mapping[str, Measured]) -> Iterator[Sequence[Cell]]:
-    """Return the versions, the counts of answers, and the median and 95th percentile of each stage with their
-    ratios to the other version's; last, how many times as long a refusal takes as an answer."""
+    """Return the rows of some work.
+
+    They have the versions, the counts of answers, the median and 95th percentile of each stage with
+    their ratios, and how many times as long a refusal takes as an answer.
+    """
     versions = measured[OURS], measured.get(OTHER, Measured())
     yield (title, "version", versions[0].version, None, versions[1].version, *[None] * 3)
     for kind in sorted({kind for each in versions for kind in each.counts}):
