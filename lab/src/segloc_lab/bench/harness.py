@@ -238,8 +238,15 @@ def _ratio(theirs: float, ours: float) -> str:
 
 def tables(rows: Sequence[Row]) -> list[Table]:
     """Tabulate kernels beside other software and their bounds; none without rows."""
-    notes = "; ".join(f"`{row.name}`: {row.note}" for row in rows if row.note)
+    told = ((row.name, remark(row)) for row in rows)
+    notes = "\n".join(f"- `{name}`: {text}" for name, text in told if text)
     return [Table(COLUMNS, [_kernel(row) for row in rows], notes, "Kernels")] if rows else []
+
+
+def remark(row: Row) -> str:
+    """Return the figures beside a row and its note as text."""
+    figures = [f"{name} {value:.4g}" for name, value in row.details.items()]
+    return ", ".join([*figures, *([row.note] if row.note else [])])
 
 
 def _kernel(row: Row) -> tuple[Cell, ...]:

@@ -181,16 +181,14 @@ def _show(kernels: Sequence[Row], title: str) -> None:
     from segloc.cli.console import table
     from segloc.system.text import counted
 
-    from ..bench.harness import table_rows
+    from ..bench.harness import remark, table_rows
 
     if kernels:
         lines = [line for row in kernels for line in table_rows(row)]
         table(title, ("", "ms", "ratio"), lines)
     for row in kernels:
-        figures = [f"{name} {value:.4g}" for name, value in row.details.items()]
-        told = [*figures, *([row.note] if row.note else [])]
-        if told:
-            print(f"{row.name}, {counted(row.threads, 'threads')}: {', '.join(told)}")
+        if text := remark(row):
+            print(f"{row.name}, {counted(row.threads, 'threads')}: {text}")
 
 
 def _texts(row: Sequence[Cell]) -> list[str]:
