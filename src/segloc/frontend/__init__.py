@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from ..system import lazy
 
 if TYPE_CHECKING:
+    from .gravity import AttitudeEstimator as AttitudeEstimator
     from .local_cloud import Accumulator as Accumulator
     from .local_cloud import LocalCloudConfig as LocalCloudConfig
     from .local_cloud import window as window
@@ -17,6 +18,7 @@ else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
+            "gravity": "AttitudeEstimator",
             "local_cloud": "Accumulator LocalCloudConfig window",
             "segmentation": "Segmentation SegmentationConfig Segmenter",
         },

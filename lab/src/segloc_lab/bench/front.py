@@ -12,8 +12,7 @@ from segloc.descriptors.pointset import POINTS
 from segloc.descriptors.profile import KIND, PreparedSegments
 from segloc.descriptors.weightfile import read_weights, shipped_weights
 from segloc.errors import SeglocError
-from segloc.frontend.gravity import AttitudeEstimator
-from segloc.frontend.segmentation import SegmentationConfig, heights_above_ground
+from segloc.frontend import AttitudeEstimator, SegmentationConfig
 from segloc.system import kernels
 from segloc.types import Float32
 
@@ -64,7 +63,8 @@ def ground(threads: int, repeats: int) -> Row:
     """Heights of all points of a scan above ground; a rival tells ground from the rest. One thread
     always."""
     points, config = scan(), SegmentationConfig()
-    runs: dict[str, Any] = {OURS: partial(heights_above_ground, points, config)}
+    grid = config.ground_cell, config.ground_slope, config.ground_step
+    runs: dict[str, Any] = {OURS: partial(kernels.heights_above_ground, points, *grid)}
     found = optional("linefit")
     if found is not None:
         fitted = found[0].ground_seg()
