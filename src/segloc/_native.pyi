@@ -59,7 +59,7 @@ class Agreement:
         map: NDArray[np.float64],
         match_query: NDArray[np.int64],
         match_map: NDArray[np.int64],
-        objects: NDArray[np.int64],
+        distinct_radius: float,
         inlier_tolerance: float,
         height_tolerance: float,
     ) -> None: ...
