@@ -1,5 +1,6 @@
 // Registration: surfaces and generalised ICP.
 #include <algorithm>
+#include <numeric>
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
@@ -49,9 +50,11 @@ auto normals_(const In2<float>& points, double max_correspondence_distance, doub
     nb::gil_scoped_release release;
     std::vector<std::uint32_t> rows;
     const Surface surface(points.data(), n, max_correspondence_distance, support, false, &rows);
+    std::vector<std::uint32_t> all(n);
+    std::iota(all.begin(), all.end(), std::uint32_t{0});
+    const std::vector<Surface::Normal> normals = surface.normals(all);
     for (std::size_t i = 0; i < n; ++i) {
-      const Surface::Normal normal = surface.normal(i);
-      std::copy(normal.begin(), normal.end(), values.begin() + std::ptrdiff_t(3 * rows[i]));
+      std::copy(normals[i].begin(), normals[i].end(), values.begin() + std::ptrdiff_t(3 * rows[i]));
     }
   }
   return to_numpy(std::move(values), {n, 3});

@@ -10,11 +10,12 @@ constexpr double kPi = 3.14159265358979323846;
 
 }  // namespace
 
-Symmetric Moments::covariance() const {
-  const double n = static_cast<double>(count_);
-  const double x = sum_[0] / n, y = sum_[1] / n, z = sum_[2] / n;
-  return {squares_[0] / n - x * x, squares_[1] / n - x * y, squares_[2] / n - x * z,
-          squares_[3] / n - y * y, squares_[4] / n - y * z, squares_[5] / n - z * z};
+Symmetric covariance(const PointSums& sums) {
+  const double n = static_cast<double>(sums.count);
+  const double x = sums.first[0] / n, y = sums.first[1] / n, z = sums.first[2] / n;
+  const double* second = sums.second;
+  return {second[0] / n - x * x, second[1] / n - x * y, second[2] / n - x * z,
+          second[3] / n - y * y, second[4] / n - y * z, second[5] / n - z * z};
 }
 
 // Eigenvalues by the closed form of Smith (CACM, 1961).

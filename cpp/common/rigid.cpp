@@ -71,6 +71,17 @@ std::array<double, 9> best_rotation(const double S[3][3], bool yaw_only) {
 
 }  // namespace
 
+std::vector<float> moved_by(const double* T, const float* points, std::size_t count) {
+  std::vector<float> moved(3 * count);
+  for (std::size_t i = 0; i < 3 * count; i += 3) {
+    const double x = points[i], y = points[i + 1], z = points[i + 2];
+    moved[i] = static_cast<float>(T[0] * x + T[1] * y + T[2] * z + T[3]);
+    moved[i + 1] = static_cast<float>(T[4] * x + T[5] * y + T[6] * z + T[7]);
+    moved[i + 2] = static_cast<float>(T[8] * x + T[9] * y + T[10] * z + T[11]);
+  }
+  return moved;
+}
+
 void append_matrix(const Rigid& T, std::vector<double>& values) {
   for (std::size_t r = 0; r < 3; ++r) {
     values.insert(values.end(), {T.R[3 * r], T.R[3 * r + 1], T.R[3 * r + 2], T.t[r]});

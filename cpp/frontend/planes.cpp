@@ -1,7 +1,6 @@
 #include "frontend/planes.h"
 
 #include <algorithm>
-#include <memory>
 
 #include "common/principal_axes.h"
 #include "frontend/point_grid.h"
@@ -22,18 +21,19 @@ bool is_flat(const PrincipalAxes& axes, double thickness) {
 std::vector<float> plane_normals(const float* points, std::size_t n, const PlaneOptions& options) {
   const PointGrid grid(points, n, options.radius);
   const auto far = static_cast<float>(options.radius * options.radius);
-  const double close = options.radius / 2 * (1.0 + 1e-6);  // for rounding
   const std::size_t sampled = std::min(n, options.most);
-  const std::unique_ptr<std::uint32_t[]> around(new std::uint32_t[n + PointGrid::kPad]);
-  std::vector<float> normals;
+  std::vector<float> places, normals;
   for (std::size_t k = 0; k < sampled; ++k) {
     const PointGrid::Point p = grid[k * n / sampled];
-    std::size_t count = grid.within(p, close, far / 4, around.get());
-    if (count < options.min_points) count = grid.within(p, options.radius, far, around.get());
-    if (count < options.min_points) continue;
-    Moments moments;
-    for (std::size_t j = 0; j < count; ++j) moments.add(grid[around[j]], p);
-    const PrincipalAxes axes = principal_axes(moments.covariance());
+    places.insert(places.end(), p.begin(), p.end());
+  }
+  std::vector<PointSums> around(sampled);
+  grid.sums_within(places.data(), sampled, far / 4, around.data());
+  for (std::size_t k = 0; k < sampled; ++k) {
+    PointSums& sums = around[k];
+    if (sums.count < options.min_points) grid.sums_within(&places[3 * k], 1, far, &sums);
+    if (sums.count < options.min_points) continue;
+    const PrincipalAxes axes = principal_axes(covariance(sums));
     if (!is_flat(axes, options.thickness)) continue;
     for (const double v : axes.least_axis) normals.push_back(static_cast<float>(v));
   }

@@ -14,15 +14,18 @@ constexpr double kFlat = 1.0 - 1e-3;  // how much less a point is uncertain acro
 constexpr std::size_t kChunk = 256;   // source points that are summed together
 // Fewer points than these are not worth a second thread: to call it takes as long.
 constexpr std::size_t kFewPairs = 1024, kFewErrors = 16384;
+constexpr double kLead = 0.4;       // share of the maximum distance within which others are looked for
+constexpr double kRounding = 1e-3;  // metres
 constexpr double kFirstDamping = 1e-3, kDampingFactor = 10.0;
 constexpr int kTries = 10;
 
 using Vector6 = std::array<double, 6>;
 
 struct Pair {
-  std::uint32_t target = Surface::kNone;
+  std::uint32_t target = kNoPoint;
   float stays = -1.0f;        // it, or none, stays the nearest while the point moves less than this
   PointGrid::Point at{};      // where the point was when that was found
+  Surface::Normal normal{}, own_normal{};
   std::array<double, 6> W{};  // xx, xy, xz, yy, yz, zz of the inverse covariance, source frame
 };
 
@@ -79,25 +82,28 @@ class Problem {
   // Pairs at this pose, and the quadratic form of the error about it.
   Sums linearized(const Rigid& T) {
     frame_ = T;
-    return summed(kFewPairs, [&](std::size_t i, Sums& sums) {
-      Pair& pair = pairs_[i];
-      find(T, i, pair);
-      if (pair.target == Surface::kNone) return;
-      const Surface::Normal normal = target_.normal(pair.target);
-      pair.W = weight(turned_back(T, normal.data()), source_.normal(i * stride_));
-      add(pair, point(i), residual(T, i, pair), sums);
+    return summed(kFewPairs, [&](std::size_t begin, std::size_t end, Sums& sums) {
+      find(T, begin, end);
+      for (std::size_t i = begin; i < end; ++i) {
+        Pair& pair = pairs_[i];
+        if (pair.target == kNoPoint) continue;
+        pair.W = weight(turned_back(T, pair.normal.data()), pair.own_normal);
+        add(pair, point(i), residual(T, i, pair), sums);
+      }
     });
   }
 
   // The error of the same pairs at another pose.
   double error(const Rigid& T) const {
     return summed(kFewErrors,
-                  [&](std::size_t i, Sums& sums) {
-                    const Pair& pair = pairs_[i];
-                    if (pair.target == Surface::kNone) return;
-                    const auto e = residual(T, i, pair);
-                    const auto We = times(pair.W, e);
-                    sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
+                  [&](std::size_t begin, std::size_t end, Sums& sums) {
+                    for (std::size_t i = begin; i < end; ++i) {
+                      const Pair& pair = pairs_[i];
+                      if (pair.target == kNoPoint) continue;
+                      const auto e = residual(T, i, pair);
+                      const auto We = times(pair.W, e);
+                      sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
+                    }
                   })
         .error;
   }
@@ -109,7 +115,7 @@ class Problem {
     const std::size_t n = pairs_.size();
     std::vector<Sums> parts((n + kChunk - 1) / kChunk);
     parallel_for(n, kChunk, n < few ? 1 : threads_, [&](std::size_t begin, std::size_t end, int) {
-      for (std::size_t i = begin; i < end; ++i) body(i, parts[begin / kChunk]);
+      body(begin, end, parts[begin / kChunk]);
     });
     Sums total;
     for (const Sums& part : parts) total.add(part);
@@ -124,19 +130,44 @@ class Problem {
     return T.apply(s);
   }
 
-  void find(const Rigid& T, std::size_t i, Pair& pair) const {
-    const auto moved = this->moved(T, i);
-    const PointGrid::Point p = {static_cast<float>(moved[0]), static_cast<float>(moved[1]),
-                                static_cast<float>(moved[2])};
-    const float dx = p[0] - pair.at[0], dy = p[1] - pair.at[1], dz = p[2] - pair.at[2];
-    if (std::sqrt(dx * dx + dy * dy + dz * dz) < pair.stays) return;
-    const Surface::Nearest nearest = target_.nearest(p);
-    pair.target = nearest.point;
-    pair.at = p;
-    // Moved by less than half the lead, it is still the nearest, and still close enough.
-    pair.stays = nearest.point == Surface::kNone ? target_.room(p)
-                                                 : 0.5f * (nearest.next - nearest.distance);
+  // Pairs of points that moved too far for theirs to be sure.
+  void find(const Rigid& T, std::size_t begin, std::size_t end) {
+    std::vector<std::uint32_t> lost, targets, sources;
+    std::vector<float> places;
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto moved = this->moved(T, i);
+      Pair& pair = pairs_[i];
+      const PointGrid::Point p = {static_cast<float>(moved[0]), static_cast<float>(moved[1]),
+                                  static_cast<float>(moved[2])};
+      const float dx = p[0] - pair.at[0], dy = p[1] - pair.at[1], dz = p[2] - pair.at[2];
+      if (std::sqrt(dx * dx + dy * dy + dz * dz) < pair.stays) continue;
+      pair.at = p;
+      lost.push_back(static_cast<std::uint32_t>(i));
+      places.insert(places.end(), p.begin(), p.end());
+    }
+    const std::vector<GridNearest> nearest = target_.nearest(places, kLead * limit());
+    std::size_t found = 0;
+    for (std::size_t k = 0; k < lost.size(); ++k) {
+      Pair& pair = pairs_[lost[k]];
+      pair.target = nearest[k].point;
+      const float next = std::sqrt(nearest[k].next);
+      if (pair.target == kNoPoint) {
+        pair.stays = static_cast<float>(next - limit() - kRounding);
+        continue;
+      }
+      // Moved by less than half the lead, it is still the nearest, and still close enough.
+      pair.stays = 0.5f * (std::min(next, static_cast<float>(limit())) - std::sqrt(nearest[k].squared));
+      lost[found++] = lost[k];
+      targets.push_back(pair.target);
+      sources.push_back(static_cast<std::uint32_t>(lost[k] * stride_));
+    }
+    const auto normals = target_.normals(targets), own = source_.normals(sources);
+    for (std::size_t k = 0; k < found; ++k) {
+      pairs_[lost[k]].normal = normals[k];
+      pairs_[lost[k]].own_normal = own[k];
+    }
   }
+  double limit() const { return target_.max_correspondence_distance(); }
 
   // In the source's frame at the last linearization.
   std::array<double, 3> residual(const Rigid& T, std::size_t i, const Pair& pair) const {

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/rigid.h"
 #include "likelihood/visibility.h"
 
 namespace segloc {
@@ -25,15 +26,11 @@ std::vector<float> unmapped(const PointIndex& map, const float* points, std::siz
   std::vector<float> left;
   for (std::size_t i = 0; i < m; ++i) {
     const float* p = points + 3 * i;
-    if (!(norm(p) <= options.range)) continue;
-    ++*used;
-    PointGrid::Point moved;
-    for (int a = 0; a < 3; ++a) {
-      moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
-                                    T[4 * a + 3]);
-    }
-    if (!map.is_near(moved, options.radius)) left.insert(left.end(), moved.begin(), moved.end());
+    if (norm(p) <= options.range) left.insert(left.end(), p, p + 3);
   }
+  *used = left.size() / 3;
+  left = moved_by(T, left.data(), *used);
+  map.remove_near(left, options.radius);
   return left;
 }
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "common/rigid.h"
+
 namespace segloc {
 namespace {
 
@@ -61,24 +63,33 @@ void PointIndex::fill_blocks(Tile& tile, std::uint32_t begin, std::uint32_t last
 PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, const double* T,
                                         double radius) const {
   Overlap result;
-  const auto limit = static_cast<float>(radius * radius);
+  std::vector<float> places = moved_by(T, points, m);
   for (std::size_t i = 0; i < m; ++i) {
-    const float* p = points + 3 * i;
-    PointGrid::Point moved;
-    for (int a = 0; a < 3; ++a) {
-      moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
-                                    T[4 * a + 3]);
-    }
-    const ObservedHeight::View view = height_.at(moved[0], moved[1], moved[2]);
+    const float* p = &places[3 * i];
+    const ObservedHeight::View view = height_.at(p[0], p[1], p[2]);
     result.unmapped += view == ObservedHeight::View::kUnmapped;
-    if (view != ObservedHeight::View::kSeen) continue;
-    ++result.compared;
-    const float d2 = grid_.nearest_squared(moved, limit);
+    if (view == ObservedHeight::View::kSeen) std::copy_n(p, 3, &places[3 * result.compared++]);
+  }
+  const auto limit = static_cast<float>(radius * radius);
+  std::vector<float> squared(result.compared);
+  grid_.nearest_squared(places.data(), squared.size(), limit, -1.0f, squared.data());
+  for (const float d2 : squared) {
     if (d2 > limit) continue;
     ++result.near;
     result.squared_sum += d2;
   }
   return result;
+}
+
+void PointIndex::remove_near(std::vector<float>& places, double radius) const {
+  const auto limit = static_cast<float>(radius * radius);
+  std::vector<float> squared(places.size() / 3);
+  grid_.nearest_squared(places.data(), squared.size(), limit, limit, squared.data());
+  std::size_t left = 0;
+  for (std::size_t i = 0; i < squared.size(); ++i) {
+    if (squared[i] > limit) std::copy_n(&places[3 * i], 3, &places[3 * left++]);
+  }
+  places.resize(3 * left);
 }
 
 // What the nearest and the farthest place of a block are decides for all in it: no point is rounded

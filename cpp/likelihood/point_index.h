@@ -47,10 +47,9 @@ class PointIndex {
     each(parts(column), column, 1, visit);
   }
 
-  // Whether any point is within a radius, no larger than that of the index.
-  bool is_near(const PointGrid::Point& p, double radius) const {
-    return grid_.is_near(p, static_cast<float>(radius * radius));
-  }
+  // Removes the places, x, y, z each, with a point within a radius, no larger than that of the
+  // index.
+  void remove_near(std::vector<float>& places, double radius) const;
   // Whether there are any points around, at any height.
   bool is_mapped(float x, float y) const { return height_.is_mapped(x, y); }
 

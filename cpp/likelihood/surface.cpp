@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 
 #include "common/principal_axes.h"
@@ -10,8 +9,6 @@
 namespace segloc {
 namespace {
 
-constexpr float kClose = 0.4f;      // share of the maximum distance that is searched first
-constexpr double kRounding = 1e-3;  // metres
 constexpr std::size_t kFewest = 4;  // points that can be off a plane
 constexpr std::int64_t kTileCells = 10;
 
@@ -61,64 +58,75 @@ std::atomic<std::uint64_t>& Surface::Blocks::operator[](std::size_t i) {
   return (*block)[i % kBlock];
 }
 
-// Most points have another close by: a small neighbourhood is searched first.
-Surface::Nearest Surface::nearest(const PointGrid::Point& p) const {
-  for (const float share : {kClose, 1.0f}) {
-    const auto limit = static_cast<float>(max_correspondence_distance_) * share;
-    const PointGrid::Nearest found = grid_.nearest(p, limit);
-    if (found.point != kNone) {
-      return {found.point, std::sqrt(found.squared), std::sqrt(found.next)};
+std::vector<GridNearest> Surface::nearest(const std::vector<float>& places, double lead) const {
+  std::vector<GridNearest> found(places.size() / 3);
+  const auto limit = static_cast<float>(max_correspondence_distance_);
+  const auto around = static_cast<float>(lead);
+  grid_.nearest(places.data(), found.size(), limit * limit, around * around, found.data());
+  return found;
+}
+
+std::vector<Surface::Normal> Surface::normals(const std::vector<std::uint32_t>& points) const {
+  std::vector<Normal> found(points.size());
+  std::vector<std::size_t> fresh;
+  std::vector<float> places;
+  for (std::size_t k = 0; k < points.size(); ++k) {
+    const std::uint64_t bits = normals_[points[k]].load(std::memory_order_relaxed);
+    if (bits != 0) {
+      found[k] = unpacked(bits);
+      continue;
     }
+    const PointGrid::Point p = grid_[points[k]];
+    places.insert(places.end(), p.begin(), p.end());
+    fresh.push_back(k);
   }
-  return {kNone, std::numeric_limits<float>::infinity(),
-          static_cast<float>(max_correspondence_distance_)};
-}
-
-float Surface::room(const PointGrid::Point& p) const {
-  const double clear = grid_.clearance(p, max_correspondence_distance_);
-  return static_cast<float>(clear - max_correspondence_distance_ - kRounding);
-}
-
-Surface::Normal Surface::normal(std::size_t i) const {
-  std::atomic<std::uint64_t>& known = normals_[i];
-  std::uint64_t bits = known.load(std::memory_order_relaxed);
-  if (bits == 0) {
-    bits = packed(found(i));
-    known.store(bits, std::memory_order_relaxed);
+  std::vector<PointSums> around(fresh.size());
+  grid_.sums_within(places.data(), fresh.size(), static_cast<float>(support_ * support_),
+                    around.data());
+  for (std::size_t i = 0; i < fresh.size(); ++i) {
+    const bool spans = around[i].count >= kFewest;
+    const std::uint64_t bits =
+        packed(spans ? principal_axes(covariance(around[i])).least_axis : Normal{0, 0, 0});
+    normals_[points[fresh[i]]].store(bits, std::memory_order_relaxed);
+    found[fresh[i]] = unpacked(bits);
   }
-  return unpacked(bits);
-}
-
-Surface::Normal Surface::found(std::size_t i) const {
-  const PointGrid::Point p = grid_[i];
-  const auto limit = static_cast<float>(support_ * support_);
-  Moments around;
-  grid_.visit(p, support_, [&](std::uint32_t k, float squared) {
-    if (squared <= limit) around.add(grid_[k], p);
-  });
-  if (around.count() < kFewest) return {0, 0, 0};
-  return principal_axes(around.covariance()).least_axis;
+  return found;
 }
 
 OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
                  const Slope& slope, double tolerance) {
   const auto known = [](const Surface::Normal& n) { return n[0] != 0 || n[1] != 0 || n[2] != 0; };
-  OnPlane count{0, 0};
+  std::vector<std::uint32_t> sampled;
   for (std::size_t i = 0; i < source.size(); i += step) {
-    const Surface::Normal own = source.normal(i);
-    const double up = std::abs(T.R[6] * own[0] + T.R[7] * own[1] + T.R[8] * own[2]);
-    if (!known(own) || !(up > slope.least && up < slope.most)) continue;
-    const PointGrid::Point s = source.grid()[i];
+    sampled.push_back(static_cast<std::uint32_t>(i));
+  }
+  const std::vector<Surface::Normal> own = source.normals(sampled);
+  std::vector<std::array<double, 3>> moved;
+  std::vector<float> places;
+  for (std::size_t k = 0; k < sampled.size(); ++k) {
+    const Surface::Normal& n = own[k];
+    const double up = std::abs(T.R[6] * n[0] + T.R[7] * n[1] + T.R[8] * n[2]);
+    if (!known(n) || !(up > slope.least && up < slope.most)) continue;
+    const PointGrid::Point s = source.grid()[sampled[k]];
     const double p[3] = {s[0], s[1], s[2]};
-    const auto moved = T.apply(p);
-    const Surface::Nearest nearest = target.nearest(
-        {static_cast<float>(moved[0]), static_cast<float>(moved[1]), static_cast<float>(moved[2])});
-    if (nearest.point == Surface::kNone) continue;
-    const Surface::Normal n = target.normal(nearest.point);
+    moved.push_back(T.apply(p));
+    for (const double v : moved.back()) places.push_back(static_cast<float>(v));
+  }
+  std::vector<std::uint32_t> targets;
+  const std::vector<GridNearest> nearest = target.nearest(places);
+  for (std::size_t k = 0; k < nearest.size(); ++k) {
+    if (nearest[k].point == kNoPoint) continue;
+    moved[targets.size()] = moved[k];
+    targets.push_back(nearest[k].point);
+  }
+  const std::vector<Surface::Normal> normals = target.normals(targets);
+  OnPlane count{0, 0};
+  for (std::size_t k = 0; k < targets.size(); ++k) {
+    const Surface::Normal& n = normals[k];
     if (!known(n)) continue;
-    const PointGrid::Point t = target.grid()[nearest.point];
-    const double off =
-        n[0] * (moved[0] - t[0]) + n[1] * (moved[1] - t[1]) + n[2] * (moved[2] - t[2]);
+    const PointGrid::Point t = target.grid()[targets[k]];
+    const std::array<double, 3>& p = moved[k];
+    const double off = n[0] * (p[0] - t[0]) + n[1] * (p[1] - t[1]) + n[2] * (p[2] - t[2]);
     ++count.of;
     count.hits += std::abs(off) < tolerance;
   }

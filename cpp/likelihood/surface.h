@@ -19,12 +19,6 @@ class Surface {
  public:
   using Normal = std::array<double, 3>;
 
-  struct Nearest {
-    std::uint32_t point;  // its place in the grid's order; kNone where none is close enough
-    float distance;       // to it
-    float next;           // at least as far as this are all others: a bound, not a distance
-  };
-  static constexpr std::uint32_t kNone = PointGrid::kNone;
 
   // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
   // metres away; the points within `support` metres of one decide on its normal. `tiled`: for
@@ -35,17 +29,16 @@ class Surface {
 
   std::size_t size() const { return grid_.size(); }
   const PointGrid& grid() const { return grid_; }
+  double max_correspondence_distance() const { return max_correspondence_distance_; }
 
-  Nearest nearest(const PointGrid::Point& p) const;
-  // How far a place may move before any point can be close enough, where none is. Metres.
-  float room(const PointGrid::Point& p) const;
+  // The nearest points to places, x, y, z each, in the grid's order; `lead`: PointGrid's, in metres.
+  std::vector<GridNearest> nearest(const std::vector<float>& places, double lead = 0.0) const;
 
-  // Unit length, of either sign; zero where the points around do not span a plane.
-  Normal normal(std::size_t i) const;
+  // Normals of points by their places in the grid's order. Unit length, of either sign; zero where
+  // the points around do not span a plane.
+  std::vector<Normal> normals(const std::vector<std::uint32_t>& points) const;
 
  private:
-  Normal found(std::size_t i) const;
-
   PointGrid grid_;
   double max_correspondence_distance_, support_;
   // Packed normals of points that follow one another; 0: not yet found.

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "common/rigid.h"
+
 namespace segloc {
 namespace {
 
@@ -162,23 +164,25 @@ VisibilityCheck::Counts VisibilityCheck::count(const float* map, std::size_t m, 
                                                double radius, double margin) const {
   const double max_range2 = range_ * range_;
   const auto limit = static_cast<float>(radius * radius);
-  Counts counts;
+  std::vector<float> places = moved_by(T, map, m);
+  std::size_t compared = 0;
   for (std::size_t i = 0; i < m; ++i) {
-    const float* p = map + 3 * i;
-    float moved[3];
-    for (int a = 0; a < 3; ++a) {
-      moved[a] = static_cast<float>(T[4 * a] * p[0] + T[4 * a + 1] * p[1] + T[4 * a + 2] * p[2] +
-                                    T[4 * a + 3]);
-    }
-    const double r2 = range_squared(moved);
-    if (!(r2 < max_range2)) continue;
-    const float below = floor_(moved[0], moved[1]);
-    if (below == -kFar || moved[2] <= below + kAbove) continue;
-    if (query_.is_near({moved[0], moved[1], moved[2]}, limit)) {
+    const float* p = &places[3 * i];
+    if (!(range_squared(p) < max_range2)) continue;
+    const float below = floor_(p[0], p[1]);
+    if (below == -kFar || p[2] <= below + kAbove) continue;
+    std::copy_n(p, 3, &places[3 * compared++]);
+  }
+  std::vector<float> squared(compared);
+  query_.nearest_squared(places.data(), compared, limit, limit, squared.data());
+  Counts counts;
+  for (std::size_t i = 0; i < compared; ++i) {
+    const float* p = &places[3 * i];
+    if (squared[i] <= limit) {
       ++counts.confirmed;
-      continue;
+    } else if (free_.holds(p, std::sqrt(range_squared(p)), margin)) {
+      ++counts.violations;
     }
-    if (free_.holds(moved, std::sqrt(r2), margin)) ++counts.violations;
   }
   return counts;
 }

@@ -7,8 +7,8 @@
 #include "descriptors/network/xconv_kernel.h"
 #include "descriptors/profile_kernel.h"
 #include "frontend/gravity_kernel.h"
+#include "frontend/grid_kernel.h"
 #include "frontend/ground_kernel.h"
-#include "frontend/planes_kernel.h"
 #include "proposals/matching/knn_kernel.h"
 #include "proposals/occupancy/windows_kernel.h"
 #include "proposals/pose/consensus_kernel.h"
@@ -44,7 +44,9 @@ const Kernels kTable = {Isa::SEGLOC_ISA,
                         &extent,
                         &cell_numbers,
                         &cell_keys,
-                        &near_points,
+                        &sums_within,
+                        &nearest_squared,
+                        &nearest_points,
                         &ground_cells,
                         &ground_heights,
                         &count_like,

@@ -48,6 +48,8 @@ struct NeighborTask {
   uint16_t* result;  // (queries, K)
 };
 
+struct GridCells;
+struct GridNearest;
 struct XConvWeights;
 struct XConvTask;
 struct DenseWeights;
@@ -205,6 +207,12 @@ struct SliceLanes {
 // Values whose extents are taken at a time: whole points and whole vectors.
 static constexpr size_t kExtentRun = 48;
 
+// Sums over points around a place, from there.
+struct PointSums {
+  double first[3], second[6];  // xx, xy, xz, yy, yz, zz
+  uint32_t count;
+};
+
 // Square cells over the plane, (ny, stride), of which the first nx columns count.
 struct GroundLattice {
   double x0, y0, edge;
@@ -264,10 +272,14 @@ struct Kernels {
   // x + stride_y y + stride_z z - base of each cell, whose last 32 bits are all there is.
   void (*cell_keys)(const int32_t* cells, size_t count, uint32_t stride_y, uint32_t stride_z,
                     uint32_t base, uint64_t* keys);
-  // Writes the points in [begin, end) within the distance of a place, squared, and returns how
-  // many. Up to 15 values behind them may be written.
-  size_t (*near_points)(const PointArrays& points, const float* place, float distance2,
-                        size_t begin, size_t end, uint32_t* found);
+  // Sums over the points within the distance, squared, of each place.
+  void (*sums_within)(const GridCells& grid, const float* places, size_t count, float distance2,
+                      PointSums* sums);
+  // As PointGrid's.
+  void (*nearest_squared)(const GridCells& grid, const float* places, size_t count, float limit,
+                          float enough, float* squared);
+  void (*nearest_points)(const GridCells& grid, const float* places, size_t count, float limit,
+                         float lead, GridNearest* found);
   // The number of the cell of each point, or of the nearest one.
   void (*ground_cells)(const float* points, size_t count, const GroundLattice& lattice,
                        int32_t* cells);

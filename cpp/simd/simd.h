@@ -48,6 +48,7 @@ inline Vec fma(Vec a, Vec b, Vec c) { return _mm512_fmadd_ps(a, b, c); }
 inline uint32_t equal(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_EQ_OQ); }
 inline uint32_t less_equal(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
 inline float reduce_max(Vec a) { return _mm512_reduce_max_ps(a); }
+inline float reduce_min(Vec a) { return _mm512_reduce_min_ps(a); }
 // Which of a vector's width of bits are set.
 inline uint32_t bits_at(const uint32_t* bits, const uint32_t* at) {
   const __m512i where = _mm512_loadu_si512(at);
@@ -117,6 +118,11 @@ inline float reduce_max(Vec a) {
   __m128 m = _mm_max_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
   m = _mm_max_ps(m, _mm_movehl_ps(m, m));
   return _mm_cvtss_f32(_mm_max_ss(m, _mm_shuffle_ps(m, m, 1)));
+}
+inline float reduce_min(Vec a) {
+  __m128 m = _mm_min_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
+  m = _mm_min_ps(m, _mm_movehl_ps(m, m));
+  return _mm_cvtss_f32(_mm_min_ss(m, _mm_shuffle_ps(m, m, 1)));
 }
 inline Vec round(Vec a) {
   return _mm256_round_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC);
@@ -210,6 +216,11 @@ inline float reduce_max(Vec a) {
   const float low = a[0] > a[1] ? a[0] : a[1];
   const float high = a[2] > a[3] ? a[2] : a[3];
   return low > high ? low : high;
+}
+inline float reduce_min(Vec a) {
+  const float low = a[0] < a[1] ? a[0] : a[1];
+  const float high = a[2] < a[3] ? a[2] : a[3];
+  return low < high ? low : high;
 }
 inline Vec round(Vec a) {
   const Vec magic = broadcast(12582912.0f);  // 1.5 * 2^23: its last bit is worth one

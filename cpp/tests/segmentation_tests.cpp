@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kAxes[] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
 
-// Every instruction set finds the same cells, the same neighbours and the same order.
+// Every instruction set finds the same cells and the same order.
 void kernels_agree(Isa isa) {
   const Kernels &k = kernels(isa), &portable = kernels(Isa::portable);
   for (const std::size_t n : kSizes) {
@@ -26,13 +26,6 @@ void kernels_agree(Isa isa) {
     portable.cell_numbers(values.data(), n, 0.3, expected_cells.data());
     CHECK(cells == expected_cells);
     for (std::size_t i = 0; i < n; ++i) CHECK(cells[i] == std::floor(values[i] / 0.3));
-    const PointArrays points = {values.data(), values.data() + n, values.data() + 2 * n};
-    const float place[] = {1.0f, -2.0f, 0.5f};
-    std::vector<std::uint32_t> near(n + 15), expected_near(n + 15);
-    near.resize(k.near_points(points, place, 30.0f, n / 3, n, near.data()));
-    expected_near.resize(
-        portable.near_points(points, place, 30.0f, n / 3, n, expected_near.data()));
-    CHECK(near == expected_near);
   }
   for (const std::size_t count : {1, 2, 8, 128}) {
     auto rows = random_floats(kSortLanes * count, -1.0f, 1.0f, 22);
@@ -153,8 +146,10 @@ void clouds() {
 }
 
 // Nearest points by a grid, compared with a search of all points. Points on a lattice lie equally
-// near to many places.
-void nearest_points() {
+// near to many places: every instruction set finds the same one.
+void nearest_points(Isa isa) {
+  const Kernels &kernel = kernels(isa), &portable = kernels(Isa::portable);
+  constexpr float kLimit = 2.25f, kLead = 0.5f;
   for (const std::size_t n : kSizes) {
     auto points = random_floats(3 * n, -9.0f, 9.0f, 11),
          places = random_floats(600, -12.0f, 12.0f, 12);
@@ -162,33 +157,44 @@ void nearest_points() {
       for (std::size_t i = 0; i < each->size() / 2; ++i)
         (*each)[i] = std::round((*each)[i] * 2) / 2;
     }
+    places.insert(places.end(), {1e9f, 0, 0, -kInfinity, 0, 0, std::nanf(""), 0, 0});
+    const std::size_t count = places.size() / 3;
     const PointGrid grid(points.data(), n, 1.5);
-    for (std::size_t k = 0; k < places.size(); k += 3) {
-      const PointGrid::Point p = {places[k], places[k + 1], places[k + 2]};
-      std::vector<float> squared = {1e9f, 1e9f};
+    std::vector<float> least(count), any(count);
+    std::vector<GridNearest> nearest(count), expected(count);
+    std::vector<PointSums> sums(count);
+    const GridCells cells = grid.cells();
+    kernel.nearest_squared(cells, places.data(), count, kLimit, -1.0f, least.data());
+    kernel.nearest_squared(cells, places.data(), count, kLimit, 1.0f, any.data());
+    kernel.nearest_points(cells, places.data(), count, kLimit, kLead, nearest.data());
+    kernel.sums_within(cells, places.data(), count, kLimit, sums.data());
+    portable.nearest_points(cells, places.data(), count, kLimit, kLead, expected.data());
+    for (std::size_t k = 0; k < count; ++k) {
+      const float* p = &places[3 * k];
+      std::vector<float> squared;
+      std::uint32_t within = 0;
+      double x = 0;
       for (std::size_t i = 0; i < n; ++i) {
         const float dx = grid[i][0] - p[0], dy = grid[i][1] - p[1], dz = grid[i][2] - p[2];
         squared.push_back(dx * dx + dy * dy + dz * dz);
+        within += squared[i] <= kLimit;
+        x += squared[i] <= kLimit ? double{grid[i][0]} - p[0] : 0.0;
       }
-      std::sort(squared.begin(), squared.end());
-      const bool near = squared[0] <= 2.25f;
-      CHECK(grid.is_near(p, 2.25f) == near);
-      CHECK(near ? grid.nearest_squared(p, 2.25f) == squared[0]
-                 : grid.nearest_squared(p, 2.25f) > 2.25f);
-      const PointGrid::Nearest found = grid.nearest(p, 1.5f);
-      CHECK((found.point == PointGrid::kNone) == !near);
-      CHECK(found.squared == std::min(squared[0], 2.25f));
-      CHECK(found.next == std::min(squared[1], 2.25f));
-      PointGrid::Nearest first{PointGrid::kNone, 2.25f, 2.25f};  // of those equally near
-      grid.visit(p, 1.5, [&](std::uint32_t i, float d) {
-        const bool nearer = d < first.squared || (d == 2.25f && first.point == PointGrid::kNone);
-        if (nearer) first = {i, d, d};
-      });
-      CHECK(found.point == first.point);
-      const double clear = grid.clearance(p, 1.5);
-      CHECK(clear >= 0.0 && clear <= 4.5 && clear <= std::sqrt(squared[0]) + 1e-6);
+      CHECK(sums[k].count == within && std::fabs(sums[k].first[0] - x) < 1e-9);
+      const GridNearest found = nearest[k];
+      CHECK(found.point == expected[k].point && found.next == expected[k].next);
+      float first = kInfinity, second = kInfinity;  // and of all others
+      for (std::size_t i = 0; i < n; ++i) {
+        first = std::min(first, squared[i]);
+        if (i != found.point) second = std::min(second, squared[i]);
+      }
+      CHECK((found.point == kNoPoint) == (within == 0));
+      CHECK(found.next <= second && (found.next == second || found.next > kLead));
+      CHECK(within == 0 ? least[k] > kLimit && any[k] > kLimit : least[k] == first);
+      if (within == 0) continue;
+      CHECK(found.squared == first && squared[found.point] == first);
+      CHECK(any[k] == first || any[k] <= 1.0f);
     }
-    CHECK(grid.clearance({1e9f, 0, 0}, 1.5) == 0.0 && !grid.is_near({1e9f, 0, 0}, 2.25f));
   }
 }
 
@@ -200,7 +206,7 @@ void segmentation_tests() {
     segloc::kernels_agree(isa);
     segloc::grounds_agree(isa);
     segloc::sums_agree(isa);
+    segloc::nearest_points(isa);
   }
   segloc::clouds();
-  segloc::nearest_points();
 }
