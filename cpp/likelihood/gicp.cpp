@@ -6,67 +6,31 @@
 #include <vector>
 
 #include "common/parallel.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 namespace {
 
-constexpr double kFlat = 1.0 - 1e-3;  // how much less a point is uncertain across its surface
 constexpr std::size_t kChunk = 256;   // source points that are summed together
 // Fewer points than these are not worth a second thread: to call it takes as long.
 constexpr std::size_t kFewPairs = 1024, kFewErrors = 16384;
-constexpr double kLead = 0.4;       // share of the maximum distance within which others are looked for
+constexpr double kLead = 0.4;       // share of the maximum distance in which others are sought
 constexpr double kRounding = 1e-3;  // metres
 constexpr double kFirstDamping = 1e-3, kDampingFactor = 10.0;
 constexpr int kTries = 10;
 
 using Vector6 = std::array<double, 6>;
 
-struct Pair {
-  std::uint32_t target = kNoPoint;
-  float stays = -1.0f;        // it, or none, stays the nearest while the point moves less than this
-  PointGrid::Point at{};      // where the point was when that was found
-  Surface::Normal normal{}, own_normal{};
-  std::array<double, 6> W{};  // xx, xy, xz, yy, yz, zz of the inverse covariance, source frame
-};
+// H, its upper triangle by rows, b, and the error.
+using Sums = std::array<double, kPairTerms>;
+constexpr std::size_t kGradient = 21, kError = 27;
 
-struct Sums {
-  std::array<double, 21> H{};  // upper triangle, by rows
-  Vector6 b{};
-  double error = 0.0;
-  std::size_t inliers = 0;
-
-  void add(const Sums& other) {
-    for (std::size_t i = 0; i < H.size(); ++i) H[i] += other.H[i];
-    for (std::size_t i = 0; i < b.size(); ++i) b[i] += other.b[i];
-    error += other.error;
-    inliers += other.inliers;
-  }
-};
-
-std::array<double, 3> turned_back(const Rigid& T, const double* v) {
-  return {T.R[0] * v[0] + T.R[3] * v[1] + T.R[6] * v[2],
-          T.R[1] * v[0] + T.R[4] * v[1] + T.R[7] * v[2],
-          T.R[2] * v[0] + T.R[5] * v[1] + T.R[8] * v[2]};
-}
-
-// The inverse of 2 I - kFlat (n n' + m m').
-std::array<double, 6> weight(const std::array<double, 3>& n, const Surface::Normal& m) {
-  const auto entry = [&](int a, int b) { return -kFlat * (n[a] * n[b] + m[a] * m[b]); };
-  const double xx = 2.0 + entry(0, 0), yy = 2.0 + entry(1, 1), zz = 2.0 + entry(2, 2);
-  const double xy = entry(0, 1), xz = entry(0, 2), yz = entry(1, 2);
-  const double a = yy * zz - yz * yz, b = xz * yz - xy * zz, c = xy * yz - xz * yy;
-  const double scale = 1.0 / (xx * a + xy * b + xz * c);
-  return {a * scale,
-          b * scale,
-          c * scale,
-          (xx * zz - xz * xz) * scale,
-          (xy * xz - xx * yz) * scale,
-          (xx * yy - xy * xy) * scale};
-}
-
-std::array<double, 3> times(const std::array<double, 6>& W, const std::array<double, 3>& v) {
-  return {W[0] * v[0] + W[1] * v[1] + W[2] * v[2], W[1] * v[0] + W[3] * v[1] + W[4] * v[2],
-          W[2] * v[0] + W[4] * v[1] + W[5] * v[2]};
+// Nine values of rotation, and three of translation.
+std::array<double, 12> flat(const Rigid& T) {
+  std::array<double, 12> values;
+  std::copy(T.R.begin(), T.R.end(), values.begin());
+  std::copy(T.t.begin(), T.t.end(), values.begin() + 9);
+  return values;
 }
 
 class Problem {
@@ -77,141 +41,136 @@ class Problem {
         source_(source),
         stride_(stride),
         threads_(threads),
-        pairs_((source.size() + stride - 1) / stride) {}
+        count_((source.size() + stride - 1) / stride),
+        targets_(count_, kNoPoint),
+        values_(kRows * count_),
+        places_(kPlaceRows * count_) {
+    for (std::size_t i = 0; i < count_; ++i) {
+      const PointGrid::Point p = source.grid()[i * stride];
+      for (std::size_t a = 0; a < 3; ++a) row(kSource + a)[i] = p[a];
+      place(kStays)[i] = -1.0f;
+    }
+  }
 
   // Pairs at this pose, and the quadratic form of the error about it.
   Sums linearized(const Rigid& T) {
-    frame_ = T;
+    frame_ = flat(T);
     return summed(kFewPairs, [&](std::size_t begin, std::size_t end, Sums& sums) {
-      find(T, begin, end);
-      for (std::size_t i = begin; i < end; ++i) {
-        Pair& pair = pairs_[i];
-        if (pair.target == kNoPoint) continue;
-        pair.W = weight(turned_back(T, pair.normal.data()), pair.own_normal);
-        add(pair, point(i), residual(T, i, pair), sums);
-      }
+      find(begin, end);
+      best_kernels().sum_pairs(arrays(), frame_.data(), begin, end, sums.data());
     });
   }
 
   // The error of the same pairs at another pose.
-  double error(const Rigid& T) const {
-    return summed(kFewErrors,
-                  [&](std::size_t begin, std::size_t end, Sums& sums) {
-                    for (std::size_t i = begin; i < end; ++i) {
-                      const Pair& pair = pairs_[i];
-                      if (pair.target == kNoPoint) continue;
-                      const auto e = residual(T, i, pair);
-                      const auto We = times(pair.W, e);
-                      sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
-                    }
-                  })
-        .error;
+  double error(const Rigid& T) {
+    const auto pose = flat(T);
+    return summed(kFewErrors, [&](std::size_t begin, std::size_t end, Sums& sums) {
+      sums[kError] =
+          best_kernels().pair_error(arrays(), frame_.data(), pose.data(), begin, end);
+    })[kError];
+  }
+
+  std::size_t inliers() const {
+    return count_ - static_cast<std::size_t>(std::count(targets_.begin(), targets_.end(), kNoPoint));
   }
 
  private:
+  static constexpr std::size_t kSource = 0, kTarget = 3, kNormal = 6, kOwn = 9, kUse = 12,
+                               kWeight = 13, kRows = 19;
+  static constexpr std::size_t kAt = 0, kStays = 3, kPlaceRows = 4;
+
+  double* row(std::size_t k) { return values_.data() + k * count_; }
+  float* place(std::size_t k) { return places_.data() + k * count_; }
+  PairArrays arrays() {
+    return {{row(kSource), row(kSource + 1), row(kSource + 2)},
+            {row(kTarget), row(kTarget + 1), row(kTarget + 2)},
+            {row(kNormal), row(kNormal + 1), row(kNormal + 2)},
+            {row(kOwn), row(kOwn + 1), row(kOwn + 2)},
+            row(kUse),
+            {place(kAt), place(kAt + 1), place(kAt + 2)},
+            place(kStays),
+            {row(kWeight), row(kWeight + 1), row(kWeight + 2), row(kWeight + 3), row(kWeight + 4),
+             row(kWeight + 5)}};
+  }
+
   // Chunks are fixed and added up in order: no sum depends on who took which.
   template <typename Body>
   Sums summed(std::size_t few, const Body& body) const {
-    const std::size_t n = pairs_.size();
-    std::vector<Sums> parts((n + kChunk - 1) / kChunk);
-    parallel_for(n, kChunk, n < few ? 1 : threads_, [&](std::size_t begin, std::size_t end, int) {
+    std::vector<Sums> parts((count_ + kChunk - 1) / kChunk, Sums{});
+    const int threads = count_ < few ? 1 : threads_;
+    parallel_for(count_, kChunk, threads, [&](std::size_t begin, std::size_t end, int) {
       body(begin, end, parts[begin / kChunk]);
     });
-    Sums total;
-    for (const Sums& part : parts) total.add(part);
+    Sums total{};
+    for (const Sums& part : parts) {
+      for (std::size_t k = 0; k < kPairTerms; ++k) total[k] += part[k];
+    }
     return total;
   }
 
-  PointGrid::Point point(std::size_t i) const { return source_.grid()[i * stride_]; }
-
-  std::array<double, 3> moved(const Rigid& T, std::size_t i) const {
-    const PointGrid::Point p = point(i);
-    const double s[3] = {p[0], p[1], p[2]};
-    return T.apply(s);
-  }
-
-  // Pairs of points that moved too far for theirs to be sure.
-  void find(const Rigid& T, std::size_t begin, std::size_t end) {
-    std::vector<std::uint32_t> lost, targets, sources;
+  // Finds the pairs of points that moved too far for theirs to be sure.
+  void find(std::size_t begin, std::size_t end) {
+    std::array<float, kChunk> x, y, z;
+    std::array<std::uint8_t, kChunk> is_lost;
+    float* const moved[3] = {x.data(), y.data(), z.data()};
+    best_kernels().move_pairs(arrays(), frame_.data(), begin, end, moved, is_lost.data());
+    std::vector<std::uint32_t> lost;
     std::vector<float> places;
     for (std::size_t i = begin; i < end; ++i) {
-      const auto moved = this->moved(T, i);
-      Pair& pair = pairs_[i];
-      const PointGrid::Point p = {static_cast<float>(moved[0]), static_cast<float>(moved[1]),
-                                  static_cast<float>(moved[2])};
-      const float dx = p[0] - pair.at[0], dy = p[1] - pair.at[1], dz = p[2] - pair.at[2];
-      if (std::sqrt(dx * dx + dy * dy + dz * dz) < pair.stays) continue;
-      pair.at = p;
+      const std::size_t k = i - begin;
+      if (!is_lost[k]) continue;
       lost.push_back(static_cast<std::uint32_t>(i));
-      places.insert(places.end(), p.begin(), p.end());
+      places.insert(places.end(), {x[k], y[k], z[k]});
     }
-    const std::vector<GridNearest> nearest = target_.nearest(places, kLead * limit());
-    std::size_t found = 0;
+    const std::vector<GridNearest> nearest =
+        target_.nearest(places, kLead * target_.max_correspondence_distance());
+    std::vector<std::uint32_t> targets, sources;
     for (std::size_t k = 0; k < lost.size(); ++k) {
-      Pair& pair = pairs_[lost[k]];
-      pair.target = nearest[k].point;
-      const float next = std::sqrt(nearest[k].next);
-      if (pair.target == kNoPoint) {
-        pair.stays = static_cast<float>(next - limit() - kRounding);
-        continue;
-      }
-      // Moved by less than half the lead, it is still the nearest, and still close enough.
-      pair.stays = 0.5f * (std::min(next, static_cast<float>(limit())) - std::sqrt(nearest[k].squared));
-      lost[found++] = lost[k];
-      targets.push_back(pair.target);
-      sources.push_back(static_cast<std::uint32_t>(lost[k] * stride_));
+      const std::size_t i = lost[k];
+      for (std::size_t a = 0; a < 3; ++a) place(kAt + a)[i] = places[3 * k + a];
+      pair(i, nearest[k]);
+      if (targets_[i] == kNoPoint) continue;
+      lost[targets.size()] = lost[k];
+      targets.push_back(targets_[i]);
+      sources.push_back(static_cast<std::uint32_t>(i * stride_));
     }
     const auto normals = target_.normals(targets), own = source_.normals(sources);
-    for (std::size_t k = 0; k < found; ++k) {
-      pairs_[lost[k]].normal = normals[k];
-      pairs_[lost[k]].own_normal = own[k];
-    }
-  }
-  double limit() const { return target_.max_correspondence_distance(); }
-
-  // In the source's frame at the last linearization.
-  std::array<double, 3> residual(const Rigid& T, std::size_t i, const Pair& pair) const {
-    const PointGrid::Point t = target_.grid()[pair.target];
-    const auto moved = this->moved(T, i);
-    const double e[3] = {t[0] - moved[0], t[1] - moved[1], t[2] - moved[2]};
-    return turned_back(frame_, e);
-  }
-
-  // With J = (skew(s), -I), the error's derivative by a step of rotation and translation.
-  static void add(const Pair& pair, const PointGrid::Point& s, const std::array<double, 3>& e,
-                  Sums& sums) {
-    const std::array<double, 6>& W = pair.W;
-    const double x = s[0], y = s[1], z = s[2];
-    // Columns of skew(s).
-    const std::array<double, 3> J[3] = {{0, z, -y}, {-z, 0, x}, {y, -x, 0}};
-    const std::array<double, 3> WJ[3] = {times(W, J[0]), times(W, J[1]), times(W, J[2])};
-    const std::array<double, 3> We = times(W, e);
-    const double Ws[3][3] = {{W[0], W[1], W[2]}, {W[1], W[3], W[4]}, {W[2], W[4], W[5]}};
-    std::size_t k = 0;
-    for (int a = 0; a < 3; ++a) {
-      for (int b = a; b < 3; ++b) {
-        sums.H[k++] += J[a][0] * WJ[b][0] + J[a][1] * WJ[b][1] + J[a][2] * WJ[b][2];
+    for (std::size_t k = 0; k < targets.size(); ++k) {
+      for (std::size_t a = 0; a < 3; ++a) {
+        row(kNormal + a)[lost[k]] = normals[k][a];
+        row(kOwn + a)[lost[k]] = own[k][a];
       }
-      for (int b = 0; b < 3; ++b) sums.H[k++] -= WJ[a][b];
-      sums.b[a] += J[a][0] * We[0] + J[a][1] * We[1] + J[a][2] * We[2];
-      sums.b[3 + a] -= We[a];
     }
-    for (int a = 0; a < 3; ++a) {
-      for (int b = a; b < 3; ++b) sums.H[k++] += Ws[a][b];
+  }
+
+  void pair(std::size_t i, const GridNearest& nearest) {
+    const double limit = target_.max_correspondence_distance();
+    const float next = std::sqrt(nearest.next);
+    targets_[i] = nearest.point;
+    row(kUse)[i] = nearest.point != kNoPoint;
+    if (nearest.point == kNoPoint) {
+      place(kStays)[i] = static_cast<float>(next - limit - kRounding);
+      return;
     }
-    sums.error += 0.5 * (e[0] * We[0] + e[1] * We[1] + e[2] * We[2]);
-    ++sums.inliers;
+    // Moved by less than half the lead, it is still the nearest, and still close enough.
+    const float lead = std::min(next, static_cast<float>(limit)) - std::sqrt(nearest.squared);
+    place(kStays)[i] = 0.5f * lead;
+    const PointGrid::Point t = target_.grid()[nearest.point];
+    for (std::size_t a = 0; a < 3; ++a) row(kTarget + a)[i] = t[a];
   }
 
   const Surface& target_;
   const Surface& source_;
   std::size_t stride_;
   int threads_;
-  std::vector<Pair> pairs_;
-  Rigid frame_;
+  std::size_t count_;
+  std::vector<std::uint32_t> targets_;
+  std::vector<double> values_;  // (kRows, count)
+  std::vector<float> places_;   // (kPlaceRows, count)
+  std::array<double, 12> frame_{};
 };
 
-std::array<double, 36> full(const std::array<double, 21>& upper) {
+std::array<double, 36> full(const Sums& upper) {
   std::array<double, 36> H{};
   std::size_t k = 0;
   for (std::size_t a = 0; a < 6; ++a) {
@@ -274,16 +233,18 @@ void optimise(Problem& problem, int iterations, const GicpOptions& options, Gicp
   for (int k = 0; k < iterations && !done; ++k) {
     ++result.iterations;
     const Sums sums = problem.linearized(result.T);
-    result.H = full(sums.H);
-    result.error = sums.error;
-    result.inliers = sums.inliers;
+    result.H = full(sums);
+    result.error = sums[kError];
+    result.inliers = problem.inliers();
+    Vector6 b;
+    std::copy_n(sums.begin() + kGradient, b.size(), b.begin());
     done = true;  // unless a step that is not small lowers the error
-    for (int tries = 0; tries < kTries && sums.inliers > 0; ++tries, damping *= kDampingFactor) {
+    for (int tries = 0; tries < kTries && result.inliers > 0; ++tries, damping *= kDampingFactor) {
       Vector6 step{};
-      if (!solve(result.H, damping, sums.b, step)) continue;
+      if (!solve(result.H, damping, b, step)) continue;
       const Rigid moved = stepped(result.T, step);
       const double error = problem.error(moved);
-      if (!(error < sums.error)) continue;
+      if (!(error < sums[kError])) continue;
       result.T = moved;
       result.error = error;
       damping /= kDampingFactor;

@@ -9,6 +9,7 @@
 #include "frontend/gravity_kernel.h"
 #include "frontend/grid_kernel.h"
 #include "frontend/ground_kernel.h"
+#include "likelihood/gicp_kernel.h"
 #include "proposals/matching/knn_kernel.h"
 #include "proposals/occupancy/windows_kernel.h"
 #include "proposals/pose/consensus_kernel.h"
@@ -47,6 +48,9 @@ const Kernels kTable = {Isa::SEGLOC_ISA,
                         &sums_within,
                         &nearest_squared,
                         &nearest_points,
+                        &move_pairs,
+                        &sum_pairs,
+                        &pair_error,
                         &ground_cells,
                         &ground_heights,
                         &count_like,

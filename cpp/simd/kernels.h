@@ -207,6 +207,16 @@ struct SliceLanes {
 // Values whose extents are taken at a time: whole points and whole vectors.
 static constexpr size_t kExtentRun = 48;
 
+// Pairs of an alignment, an array for each coordinate.
+struct PairArrays {
+  const double *source[3], *target[3];
+  const double *normal[3], *own[3];  // of the target and of the source
+  const double* use;                 // 1, or 0 where there is no pair
+  const float *at[3], *stays;        // where the source was, and how far its pair holds from there
+  double* weight[6];                 // xx, xy, xz, yy, yz, zz
+};
+static constexpr size_t kPairTerms = 28;
+
 // Sums over points around a place, from there.
 struct PointSums {
   double first[3], second[6];  // xx, xy, xz, yy, yz, zz
@@ -280,6 +290,15 @@ struct Kernels {
                           float enough, float* squared);
   void (*nearest_points)(const GridCells& grid, const float* places, size_t count, float limit,
                          float lead, GridNearest* found);
+  // Of pairs [begin, end) at poses of nine values of rotation and three of translation: where they
+  // are (x, y, z from the first on) and which are lost; their weights and the sums of their terms,
+  // added to; and their error in a frame.
+  void (*move_pairs)(const PairArrays& pairs, const double* T, size_t begin, size_t end,
+                     float* const* moved, uint8_t* lost);
+  void (*sum_pairs)(const PairArrays& pairs, const double* T, size_t begin, size_t end,
+                    double* sums);
+  double (*pair_error)(const PairArrays& pairs, const double* frame, const double* T, size_t begin,
+                       size_t end);
   // The number of the cell of each point, or of the nearest one.
   void (*ground_cells)(const float* points, size_t count, const GroundLattice& lattice,
                        int32_t* cells);

@@ -8,6 +8,41 @@
 namespace segloc {
 namespace {
 
+// Every instruction set has the same sums, bit by bit.
+void pairs_agree(Isa isa) {
+  const Kernels &kernel = kernels(isa), &portable = kernels(Isa::portable);
+  const double T[12] = {0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1, 0.1, -0.2, 0.3};
+  const double frame[12] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0};
+  for (const std::size_t n : kSizes) {
+    const auto places = random_floats(4 * n, -1.0f, 1.0f, 9);
+    const auto random = random_floats(13 * n, -1.0f, 1.0f, 10);
+    std::vector<double> rows(random.begin(), random.end());
+    for (std::size_t i = 0; i < n; ++i) rows[12 * n + i] = i % 3 > 0;
+    std::vector<double> weights(6 * n);
+    const auto row = [&](std::size_t k) { return rows.data() + k * n; };
+    const auto place = [&](std::size_t k) { return places.data() + k * n; };
+    const auto weight = [&](std::size_t k) { return weights.data() + k * n; };
+    const PairArrays pairs = {
+        {row(0), row(1), row(2)}, {row(3), row(4), row(5)}, {row(6), row(7), row(8)},
+        {row(9), row(10), row(11)}, row(12), {place(0), place(1), place(2)}, place(3),
+        {weight(0), weight(1), weight(2), weight(3), weight(4), weight(5)}};
+    const auto results = [&](const Kernels& of) {
+      std::vector<double> values(kPairTerms + 1);
+      of.sum_pairs(pairs, T, n / 3, n, values.data());
+      values[kPairTerms] = of.pair_error(pairs, T, frame, n / 3, n);
+      values.insert(values.end(), weights.begin(), weights.end());
+      std::vector<float> moved(3 * n);
+      std::vector<std::uint8_t> lost(n);
+      float* const to[3] = {moved.data(), moved.data() + n, moved.data() + 2 * n};
+      of.move_pairs(pairs, T, n / 3, n, to, lost.data());
+      values.insert(values.end(), moved.begin(), moved.end());
+      values.insert(values.end(), lost.begin(), lost.end());
+      return values;
+    };
+    CHECK(results(kernel) == results(portable));
+  }
+}
+
 void registration() {
   for (const std::size_t n : kSizes) {
     auto points = random_floats(3 * n, -8.0f, 8.0f, 7);
@@ -52,6 +87,7 @@ void points_on_a_plane() {
 }  // namespace segloc
 
 void registration_tests() {
+  for (const segloc::Isa isa : instruction_sets()) segloc::pairs_agree(isa);
   segloc::registration();
   segloc::points_on_a_plane();
 }
