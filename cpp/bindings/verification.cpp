@@ -11,27 +11,48 @@ namespace segloc::bindings {
 namespace {
 
 // A point in unmapped space counts `unmapped` of a point with a neighbour.
-auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
-              double radius, double unmapped) {
+double share_of(const PointIndex::Overlap& found, double unmapped) {
+  const double known = double(found.near) + unmapped * double(found.unmapped);
+  const std::size_t all = found.compared + found.unmapped;
+  return all == 0 ? 0.0 : known / double(all);
+}
+
+void require_overlap(const PointIndex& index, const In2<float>& points, double radius,
+                     double unmapped) {
   require_points(points);
-  require(poses.shape(1) == 4 && poses.shape(2) == 4, "poses must have shape (H, 4, 4)");
-  require_usable(poses.data(), poses.size(), "poses");
   require_between(radius, kShortest, index.radius(), "radius");
   require_between(unmapped, 0.0, 1.0, "unmapped");
-  std::vector<double> share(poses.shape(0)), rmse(poses.shape(0));
+}
+
+auto overlap_(const PointIndex& index, const In2<float>& points, const In3<double>& poses,
+              double radius, double unmapped) {
+  require_overlap(index, points, radius, unmapped);
+  require(poses.shape(1) == 4 && poses.shape(2) == 4, "poses must have shape (H, 4, 4)");
+  require_usable(poses.data(), poses.size(), "poses");
+  std::vector<double> share(poses.shape(0));
   {
     nb::gil_scoped_release release;
     const std::size_t m = points.shape(0);
     require_usable(points.data(), points.size(), "points");
     for (std::size_t h = 0; h < share.size(); ++h) {
-      const auto found = index.overlap(points.data(), m, poses.data() + 16 * h, radius);
-      const double known = double(found.near) + unmapped * double(found.unmapped);
-      const std::size_t all = found.compared + found.unmapped;
-      share[h] = all == 0 ? 0.0 : known / double(all);
-      rmse[h] = std::sqrt(found.squared_sum / double(found.near));  // NaN where nothing is near
+      const double* T = poses.data() + 16 * h;
+      share[h] = share_of(index.overlap(points.data(), m, T, radius, false), unmapped);
     }
   }
-  return std::make_tuple(to_numpy(std::move(share)), to_numpy(std::move(rmse)));
+  return to_numpy(std::move(share));
+}
+
+auto overlap_rmse(const PointIndex& index, const In2<float>& points, const In2<double>& T_map_local,
+                  double radius, double unmapped) {
+  require_overlap(index, points, radius, unmapped);
+  require_transform(T_map_local, "T_map_local");
+  nb::gil_scoped_release release;
+  require_usable(points.data(), points.size(), "points");
+  const auto found =
+      index.overlap(points.data(), points.shape(0), T_map_local.data(), radius, true);
+  // NaN where nothing is near.
+  return std::make_tuple(share_of(found, unmapped),
+                         std::sqrt(found.squared_sum / double(found.near)));
 }
 
 auto correlate_(const PointIndex& index, const In2<float>& points, const In2<double>& T_map_local,
@@ -125,6 +146,8 @@ void bind_verification(nb::module_& m) {
       .def("__len__", &PointIndex::size)
       .def("overlap", &overlap_, nb::arg("points").noconvert(), nb::arg("poses").noconvert(),
            nb::arg("radius"), nb::arg("unmapped") = 0.0)
+      .def("overlap_rmse", &overlap_rmse, nb::arg("points").noconvert(),
+           nb::arg("T_map_local").noconvert(), nb::arg("radius"), nb::arg("unmapped") = 0.0)
       .def("correlate", &correlate_, nb::arg("points").noconvert(),
            nb::arg("T_map_local").noconvert(), nb::arg("headings"), nb::arg("cell"),
            nb::arg("half_width"), nb::arg("range"))

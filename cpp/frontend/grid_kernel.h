@@ -9,7 +9,7 @@ namespace segloc {
 namespace SEGLOC_ISA {
 namespace {
 
-constexpr size_t kPlaces = 32;             // that are looked up together
+constexpr size_t kPlaces = 64;              // that are looked up together
 constexpr float kRoundedUp = 1.0f + 1e-4f;  // of squared distances in single precision
 
 // Along each axis of places: the cell, the side of its nearer neighbour, and the squared distances

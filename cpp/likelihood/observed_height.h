@@ -9,6 +9,8 @@
 #include <unordered_map>
 #include <vector>
 
+#include "common/portability.h"
+
 namespace segloc {
 
 // A sensor with a lower field of view sees less of trees and houses. Points above all nearby points
@@ -48,6 +50,10 @@ class ObservedHeight {
     if (span == nullptr) return View::kUnmapped;
     const float top = std::max(span->high, span->low + kAlways) + kSlack;
     return z <= top ? View::kSeen : View::kTooHigh;
+  }
+  // Fetches what the others read at a place.
+  void fetch(float x, float y) const {
+    if (near(x, y)) prefetch(&table_[first_slot(key(cell(x), cell(y)))]);
   }
   bool is_mapped(float x, float y) const { return around(x, y) != nullptr; }
 

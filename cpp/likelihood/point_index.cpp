@@ -61,9 +61,10 @@ void PointIndex::fill_blocks(Tile& tile, std::uint32_t begin, std::uint32_t last
 }
 
 PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, const double* T,
-                                        double radius) const {
+                                        double radius, bool measure) const {
   Overlap result;
   std::vector<float> places = moved_by(T, points, m);
+  for (std::size_t i = 0; i < 3 * m; i += 3) height_.fetch(places[i], places[i + 1]);
   for (std::size_t i = 0; i < m; ++i) {
     const float* p = &places[3 * i];
     const ObservedHeight::View view = height_.at(p[0], p[1], p[2]);
@@ -72,7 +73,8 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
   }
   const auto limit = static_cast<float>(radius * radius);
   std::vector<float> squared(result.compared);
-  grid_.nearest_squared(places.data(), squared.size(), limit, -1.0f, squared.data());
+  grid_.nearest_squared(places.data(), squared.size(), limit, measure ? -1.0f : limit,
+                        squared.data());
   for (const float d2 : squared) {
     if (d2 > limit) continue;
     ++result.near;

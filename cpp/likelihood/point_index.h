@@ -23,8 +23,10 @@ class PointIndex {
     std::size_t unmapped = 0;  // points with no indexed ones around them at any height
   };
 
-  // Overlap of (m, 3) points, transformed by a row-major 4 x 4 matrix, with the indexed ones.
-  Overlap overlap(const float* points, std::size_t m, const double* transform, double radius) const;
+  // Overlap of (m, 3) points, transformed by a row-major 4 x 4 matrix, with the indexed ones. To
+  // measure the distances takes longer; otherwise they are only within the radius.
+  Overlap overlap(const float* points, std::size_t m, const double* transform, double radius,
+                  bool measure) const;
 
   // What is between two heights, within a horizontal distance of (x, y).
   struct Column {

@@ -65,7 +65,7 @@ class Shared {
     start.t = {0.2, -0.1, 0.15};
     const GicpResult aligned = align(surface_, surface_, start, {}, threads);
     all.insert(all.end(), aligned.T.t.begin(), aligned.T.t.end());
-    all.push_back(double(points_.overlap(cloud_.data(), kPoints, kIdentity, 0.5).near));
+    all.push_back(double(points_.overlap(cloud_.data(), kPoints, kIdentity, 0.5, true).near));
     all.push_back(double(check_.count(cloud_.data(), kPoints, kIdentity, 0.5, 0.5).confirmed));
   }
 

@@ -179,7 +179,14 @@ class PointIndex:
         poses: NDArray[np.float64],
         radius: float,
         unmapped: float = 0.0,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+    ) -> NDArray[np.float64]: ...
+    def overlap_rmse(
+        self,
+        points: NDArray[np.float32],
+        T_map_local: NDArray[np.float64],
+        radius: float,
+        unmapped: float = 0.0,
+    ) -> tuple[float, float]: ...
     def correlate(
         self,
         points: NDArray[np.float32],

@@ -168,8 +168,7 @@ def test_walls_that_are_off_by_decimetres_are_not_flush() -> None:
         T = geometry.yaw_transform(0.0, (metres, metres, 0.0))
         share = flush_count(surface, query, T, 0.1).share
         assert share is not None
-        overlap, _ = index.overlap(few[:2000], T[None], 0.3, 0.0)
-        shares.append((share, float(overlap[0])))
+        shares.append((share, float(index.overlap(few[:2000], T[None], 0.3, 0.0)[0])))
     (flush, fits), (off, still_fits) = shares
     assert fits > 0.95 and still_fits > 0.85
     assert flush > 0.85 and off < 0.35

@@ -48,10 +48,11 @@ def test_overlap_is_what_a_tree_finds(seed: int, count: int, radius: float, shar
     results = (low | unmapped).sum()
     index = PointIndex(cloud, radius)
     for counts in (0.0, 0.25):
-        overlap, rmse = index.overlap(query, T[None], requested, counts)
-        assert overlap[0] == (near.sum() + counts * unmapped.sum()) / max(results, 1)
+        overlap, rmse = index.overlap_rmse(query, T, requested, counts)
+        assert index.overlap(query, T[None], requested, counts)[0] == overlap
+        assert overlap == (near.sum() + counts * unmapped.sum()) / max(results, 1)
     if near.any():
-        assert abs(rmse[0] - np.sqrt((distance[near] ** 2).mean())) < 1e-4
+        assert abs(rmse - np.sqrt((distance[near] ** 2).mean())) < 1e-4
 
 
 @settings(max_examples=30)

@@ -159,8 +159,10 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     index = _native.PointIndex(points, 1.0)
     yield "PointIndex", Call(_native.PointIndex, {"points": points, "radius": 1.0})
     overlap = {"points": points, "poses": np.stack([eye, eye]), "radius": 0.5}
+    yield "PointIndex.overlap", Call(index.overlap, overlap)
+    measured = {"points": points, "T_map_local": eye, "radius": 0.5}
     # The root mean square of no distance is NaN by contract.
-    yield "PointIndex.overlap", Call(lambda **a: index.overlap(**a)[0], overlap)
+    yield "PointIndex.overlap_rmse", Call(lambda **a: index.overlap_rmse(**a)[0], measured)
     sample = {"x": 0.0, "y": 1.0, "radius": 5.0, "count": 100}
     yield "PointIndex.sample", Call(index.sample, sample)
     correlate = {"points": points, "T_map_local": eye, "headings": [0.0, 1.0]}

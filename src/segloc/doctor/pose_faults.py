@@ -268,7 +268,7 @@ def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
     )
 
     def share(poses: list[Pose]) -> Float64:
-        return index.overlap(sample, np.stack(poses), _NEAR_M)[0]
+        return index.overlap(sample, np.stack(poses), _NEAR_M)
 
     aligner = Aligner(_VOXEL_M, _ALIGN_M, 1)
     moved = aligner.align(aligner.surface(target), aligner.surface(source), steps[0])

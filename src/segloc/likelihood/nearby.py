@@ -113,7 +113,7 @@ class NearbySearch:
         steps = np.arange(near[:, 2].min() - z, near[:, 2].max() - z, _RISE_M)
         poses = np.repeat(T[None], len(steps) + 1, axis=0)
         poses[1:, 2, 3] += steps
-        share, _ = self._index.overlap(points, poses, radius)
+        share = self._index.overlap(points, poses, radius)
         here, share = share[0], np.where(np.abs(steps) > self._separation.height, share[1:], 0.0)
         found = []
         while len(share) and share.max() > 0.0 and share.max() >= _STOREY_FITS * here:

@@ -61,6 +61,5 @@ def _alike(index: _native.PointIndex, T_one: Pose, T_other: Pose, step: Pose) ->
         points = index.sample(float(x), float(y), _RANGE_M, _SAMPLE)
         if len(points):
             moved = np.ascontiguousarray(other @ geometry.inverse(T))
-            overlap, _ = index.overlap(points, moved[None], _RADIUS_M)
-            shares.append(float(overlap[0]))
+            shares.append(float(index.overlap(points, moved[None], _RADIUS_M)[0]))
     return min(shares)

@@ -272,7 +272,7 @@ class MapCloud:
         if fresh:
             poses = np.stack([self._relative(candidates[k].T_map_local) for k in fresh])
             few = thinned(query.sample, self._config.coarse_sample)
-            overlap, _ = self._target.index.overlap(
+            overlap = self._target.index.overlap(
                 few, poses, self._config.coarse_radius, self._config.unmapped_overlap
             )
             query.rough |= {keys[k]: float(o) for k, o in zip(fresh, overlap, strict=True)}
@@ -344,8 +344,8 @@ class MapCloud:
     def mapped(self, fit: Observation, query: QueryCloud) -> float:
         """Return the share of a query's structure with any map points around it, in [0, 1]."""
         T, radius = self._relative(fit.T_map_local)[None], self._config.overlap_radius
-        none, _ = self._target.index.overlap(query.sample, T, radius, 0.0)
-        most, _ = self._target.index.overlap(query.sample, T, radius, 1.0)
+        none = self._target.index.overlap(query.sample, T, radius, 0.0)
+        most = self._target.index.overlap(query.sample, T, radius, 1.0)
         return 1.0 - float(most[0] - none[0])
 
     def _observed(self, T: Pose, found: Registered | None, query: QueryCloud) -> Observation:

@@ -146,10 +146,7 @@ class Target:
 
     def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> tuple[float, float]:
         """Return the overlap of a sample (N, 3) within a radius, and the RMSE of its pairs [m]."""
-        overlap, rmse = self.index.overlap(
-            sample, T_target_source[None], radius, self.unmapped_overlap
-        )
-        return float(overlap[0]), float(rmse[0])
+        return self.index.overlap_rmse(sample, T_target_source, radius, self.unmapped_overlap)
 
 
 class Aligner:
