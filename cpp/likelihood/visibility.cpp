@@ -1,6 +1,7 @@
 #include "likelihood/visibility.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -10,31 +11,21 @@ namespace segloc {
 namespace {
 
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
-constexpr double kRight = 3.14159265358979323846 / 2;
 constexpr float kFar = std::numeric_limits<float>::infinity();
 constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
 constexpr double kGroundCell = 3.0;  // metres
 constexpr float kAbove = 0.5f;       // lower map points are not compared, metres
 constexpr double kNearest = 0.05;    // points nearer than this are no wider, metres
 constexpr double kSteepest = 0.1;    // nor are those that are steeper: the cosine of the elevation
+constexpr std::size_t kChunk = 256;   // points whose pixels are found together
 constexpr double kSlant = 0.05;      // surfaces met at a slant spread over a pixel by their range
 
 double range_squared(const float* p) {
   return double(p[0]) * p[0] + double(p[1]) * p[1] + double(p[2]) * p[2];
 }
 
-// Hastings' polynomial (Approximations for Digital Computers, 1955), in degrees.
-constexpr double kQuickError = 2e-3;  // degrees, more than it ever is
-double quick_atan2(double y, double x) {
-  const double across = std::abs(x), up = std::abs(y);
-  const double t = std::min(across, up) / std::max(across, up), t2 = t * t;
-  const double odd =
-      -0.33262347 + t2 * (0.19354346 + t2 * (-0.11643287 + t2 * (0.05265332 + t2 * -0.01172120)));
-  double angle = t * (0.99997726 + t2 * odd);
-  if (up > across) angle = kRight - angle;
-  if (x < 0) angle = 2 * kRight - angle;
-  return (y < 0 ? -angle : angle) * kDegrees;
-}
+// More than a quick angle of the kernel is ever wrong, degrees.
+constexpr double kQuickError = 2e-3;
 
 // Limit of the visible part of a map: points beyond need not be searched.
 std::vector<float> within(const float* points, std::size_t n, double reach) {
@@ -49,35 +40,43 @@ std::vector<float> within(const float* points, std::size_t n, double reach) {
 RangeImage image_of(const float* structure, std::size_t n, const float* ground, std::size_t g,
                     double bin_deg) {
   RangeImage image(bin_deg);
-  for (std::size_t i = 0; i < n; ++i) image.add(structure + 3 * i);
-  for (std::size_t i = 0; i < g; ++i) image.add(ground + 3 * i);
+  image.add(structure, n);
+  image.add(ground, g);
   return image;
 }
 
 }  // namespace
 
 RangeImage::RangeImage(double bin_deg)
-    : bin_(bin_deg),
-      columns_(static_cast<int>(std::lround(360.0 / bin_deg))),
-      rows_(static_cast<int>(std::lround(180.0 / bin_deg)) + 1),
-      doubt_(kQuickError / bin_deg),
-      nearest_(static_cast<std::size_t>(columns_) * rows_, kFar) {}
+    : grid_{bin_deg, kQuickError / bin_deg, static_cast<int>(std::lround(360.0 / bin_deg)),
+            static_cast<int>(std::lround(180.0 / bin_deg)) + 1},
+      nearest_(static_cast<std::size_t>(grid_.columns) * grid_.rows, kFar) {}
 
-void RangeImage::add(const float* point) {
-  float& pixel = nearest_[at(point)];
-  pixel = std::min(pixel, static_cast<float>(std::sqrt(range_squared(point))));
+void RangeImage::add(const float* points, std::size_t count) {
+  std::array<std::int32_t, kChunk> pixels;
+  std::array<float, kChunk> ranges;
+  for (std::size_t begin = 0; begin < count; begin += kChunk) {
+    const std::size_t few = std::min(kChunk, count - begin);
+    const float* chunk = points + 3 * begin;
+    best_kernels().range_pixels(chunk, few, grid_, pixels.data(), ranges.data());
+    for (std::size_t i = 0; i < few; ++i) {
+      const auto pixel = static_cast<std::size_t>(pixels[i]);
+      float& nearest = nearest_[pixels[i] < 0 ? exact_pixel(chunk + 3 * i) : pixel];
+      nearest = std::min(nearest, ranges[i]);
+    }
+  }
 }
 
 void RangeImage::add(const float* point, double half_width) {
   const double range = std::max(std::sqrt(range_squared(point)), kNearest);
-  const int up = static_cast<int>(half_width / range * kDegrees / bin_ + 0.5);
+  const int up = static_cast<int>(half_width / range * kDegrees / grid_.bin_deg + 0.5);
   const double level = std::max(std::hypot(point[0], point[1]) / range, kSteepest);
-  const int aside = std::min(static_cast<int>(std::ceil(up / level)), columns_ / 2);
+  const int aside = std::min(static_cast<int>(std::ceil(up / level)), grid_.columns / 2);
   const std::size_t pixel = at(point);
-  const int column = static_cast<int>(pixel) / rows_, row = static_cast<int>(pixel) % rows_;
+  const int column = static_cast<int>(pixel) / grid_.rows, row = static_cast<int>(pixel) % grid_.rows;
   for (int dc = -aside; dc <= aside; ++dc) {
-    float* of = &nearest_[static_cast<std::size_t>((column + dc + columns_) % columns_) * rows_];
-    for (int r = std::max(row - up, 0); r <= std::min(row + up, rows_ - 1); ++r) {
+    float* of = &nearest_[static_cast<std::size_t>((column + dc + grid_.columns) % grid_.columns) * grid_.rows];
+    for (int r = std::max(row - up, 0); r <= std::min(row + up, grid_.rows - 1); ++r) {
       of[r] = std::min(of[r], static_cast<float>(range));
     }
   }
@@ -85,16 +84,16 @@ void RangeImage::add(const float* point, double half_width) {
 
 RangeImage RangeImage::eroded() const {
   RangeImage least = *this;
-  for (int c = 0; c < columns_; ++c) {
-    for (int r = 0; r < rows_; ++r) {
+  for (int c = 0; c < grid_.columns; ++c) {
+    for (int r = 0; r < grid_.rows; ++r) {
       float value = kFar;
       for (int dc = -1; dc <= 1; ++dc) {
-        const int column = (c + dc + columns_) % columns_;
-        for (int row = std::max(r - 1, 0); row <= std::min(r + 1, rows_ - 1); ++row) {
-          value = std::min(value, nearest_[static_cast<std::size_t>(column) * rows_ + row]);
+        const int column = (c + dc + grid_.columns) % grid_.columns;
+        for (int row = std::max(r - 1, 0); row <= std::min(r + 1, grid_.rows - 1); ++row) {
+          value = std::min(value, nearest_[static_cast<std::size_t>(column) * grid_.rows + row]);
         }
       }
-      least.nearest_[static_cast<std::size_t>(c) * rows_ + r] = value;
+      least.nearest_[static_cast<std::size_t>(c) * grid_.rows + r] = value;
     }
   }
   return least;
@@ -106,20 +105,20 @@ bool FreeSpace::holds(const float* point, double range, double margin) const {
 }
 
 std::size_t RangeImage::at(const float* point) const {
-  const double x = point[0], y = point[1], z = point[2];
-  const int column = bin_of(y, x, 180.0) % columns_;
-  const int row = std::min(bin_of(z, std::sqrt(x * x + y * y), 90.0), rows_ - 1);
-  return static_cast<std::size_t>(column) * rows_ + row;
+  std::int32_t pixel = 0;
+  float range = 0.0f;
+  best_kernels().range_pixels(point, 1, grid_, &pixel, &range);
+  return pixel < 0 ? exact_pixel(point) : static_cast<std::size_t>(pixel);
 }
 
-// Only where a direction is too near the edge of a bin, or there is none, the exact angle is found.
-int RangeImage::bin_of(double y, double x, double first_deg) const {
-  if (x != 0 || y != 0) {
-    const double quick = (quick_atan2(y, x) + first_deg) / bin_;
-    const double inside = quick - static_cast<int>(quick);
-    if (inside > doubt_ && inside < 1.0 - doubt_) return static_cast<int>(quick);
-  }
-  return static_cast<int>((std::atan2(y, x) * kDegrees + first_deg) / bin_);
+std::size_t RangeImage::exact_pixel(const float* point) const {
+  const double x = point[0], y = point[1], z = point[2];
+  const auto bin_of = [&](double up, double across, double first_deg) {
+    return static_cast<int>((std::atan2(up, across) * kDegrees + first_deg) / grid_.bin_deg);
+  };
+  const int column = bin_of(y, x, 180.0) % grid_.columns;
+  const int row = std::min(bin_of(z, std::sqrt(x * x + y * y), 90.0), grid_.rows - 1);
+  return static_cast<std::size_t>(column) * grid_.rows + row;
 }
 
 GroundCeiling::GroundCeiling(const float* ground, std::size_t count, double range)

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "frontend/point_grid.h"
+#include "simd/kernels.h"
 
 namespace segloc {
 
@@ -14,7 +15,7 @@ namespace segloc {
 class RangeImage {
  public:
   explicit RangeImage(double bin_deg);
-  void add(const float* point);
+  void add(const float* points, std::size_t count);
   // A point that stands for all within `half_width` metres of it.
   void add(const float* point, double half_width);
   // The least of each pixel and the eight about it.
@@ -23,11 +24,9 @@ class RangeImage {
   float operator[](std::size_t pixel) const { return nearest_[pixel]; }
 
  private:
-  int bin_of(double y, double x, double first_deg) const;
+  std::size_t exact_pixel(const float* point) const;
 
-  double bin_;
-  int columns_, rows_;
-  double doubt_;  // shares of a bin by which a quick angle may be wrong
+  PixelGrid grid_;
   std::vector<float> nearest_;
 };
 

@@ -10,6 +10,7 @@
 #include "frontend/grid_kernel.h"
 #include "frontend/ground_kernel.h"
 #include "likelihood/gicp_kernel.h"
+#include "likelihood/visibility_kernel.h"
 #include "proposals/matching/knn_kernel.h"
 #include "proposals/occupancy/windows_kernel.h"
 #include "proposals/pose/consensus_kernel.h"
@@ -51,6 +52,7 @@ const Kernels kTable = {Isa::SEGLOC_ISA,
                         &move_pairs,
                         &sum_pairs,
                         &pair_error,
+                        &range_pixels,
                         &ground_cells,
                         &ground_heights,
                         &count_like,

@@ -207,6 +207,13 @@ struct SliceLanes {
 // Values whose extents are taken at a time: whole points and whole vectors.
 static constexpr size_t kExtentRun = 48;
 
+// Directions, `bin_deg` wide: columns around, and rows from below to above. A quick angle may be
+// wrong by the share `doubt` of a pixel.
+struct PixelGrid {
+  double bin_deg, doubt;
+  int32_t columns, rows;
+};
+
 // Pairs of an alignment, an array for each coordinate.
 struct PairArrays {
   const double *source[3], *target[3];
@@ -299,6 +306,9 @@ struct Kernels {
                     double* sums);
   double (*pair_error)(const PairArrays& pairs, const double* frame, const double* T, size_t begin,
                        size_t end);
+  // The pixel of each point, column by column, or -1 where a quick angle is in doubt; and its range.
+  void (*range_pixels)(const float* points, size_t count, const PixelGrid& grid, int32_t* pixels,
+                       float* ranges);
   // The number of the cell of each point, or of the nearest one.
   void (*ground_cells)(const float* points, size_t count, const GroundLattice& lattice,
                        int32_t* cells);

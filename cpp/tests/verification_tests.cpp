@@ -1,4 +1,6 @@
 // Verification at every size from nothing up.
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 #include "likelihood/correlation.h"
@@ -15,11 +17,32 @@ void point_index() {
     const auto points = random_floats(3 * n, -20.0f, 20.0f, 1);
     const PointIndex index(points.data(), n, 0.5);
     const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-    CHECK(index.overlap(points.data(), n, identity, 0.5).near == n);
+    CHECK(index.overlap(points.data(), n, identity, 0.5, n % 2 > 0).near == n);
     CHECK(index.sample({0, 0, 1000}, n + 1).size() == 3 * n);
     CHECK(index.sample({500, 0, 1}, 9).empty());
     const double away[16] = {1, 0, 0, 1e9, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-    CHECK(index.overlap(points.data(), n, away, 0.5).near == 0);
+    CHECK(index.overlap(points.data(), n, away, 0.5, true).near == 0);
+  }
+}
+
+// Every instruction set finds the same pixels, and those of the exact angles.
+void pixels_agree(Isa isa) {
+  const PixelGrid grid = {2.0, 1e-3, 180, 91};
+  auto points = random_floats(3 * 1000, -20.0f, 20.0f, 6);
+  for (std::size_t i = 0; i < 300; ++i) points[i] = std::round(points[i] / 10);
+  std::vector<std::int32_t> pixels(1000), expected(1000);
+  std::vector<float> ranges(1000), expected_ranges(1000);
+  kernels(isa).range_pixels(points.data(), 1000, grid, pixels.data(), ranges.data());
+  kernels(Isa::portable).range_pixels(points.data(), 1000, grid, expected.data(),
+                                      expected_ranges.data());
+  CHECK(pixels == expected && ranges == expected_ranges);
+  CHECK(std::count(pixels.begin() + 100, pixels.end(), -1) < 50);
+  for (std::size_t i = 0; i < 1000; ++i) {
+    const double x = points[3 * i], y = points[3 * i + 1], z = points[3 * i + 2];
+    const double degrees = 180.0 / std::acos(-1.0), level = std::sqrt(x * x + y * y);
+    const int column = int((std::atan2(y, x) * degrees + 180.0) / 2.0) % 180;
+    const int row = int((std::atan2(z, level) * degrees + 90.0) / 2.0);
+    CHECK(pixels[i] == -1 || pixels[i] == column * 91 + row);
   }
 }
 
@@ -86,6 +109,7 @@ void correlation() {
 
 void verification_tests() {
   segloc::point_index();
+  for (const segloc::Isa isa : instruction_sets()) segloc::pixels_agree(isa);
   segloc::visibility();
   segloc::intruding();
   segloc::correlation();
