@@ -178,7 +178,7 @@ inline void visit_within(const GridCells& grid, const PlaceCells& at, size_t ind
 
 void sums_within(const GridCells& grid, const float* places, size_t count, float distance2,
                  PointSums* sums) {
-  each_place(grid, places, count, [&](const float* p, const PlaceCells& at, size_t k, size_t index) {
+  const auto body = [&](const float* p, const PlaceCells& at, size_t k, size_t index) {
     PointSums sum = {};
     const double cx = p[0], cy = p[1], cz = p[2];
     visit_within(grid, at, k, p, distance2, [&](size_t first, uint32_t hits) {
@@ -194,7 +194,8 @@ void sums_within(const GridCells& grid, const float* places, size_t count, float
       }
     });
     sums[index] = sum;
-  });
+  };
+  each_place(grid, places, count, body);
 }
 
 // Vectors that reach past the end of a cell read other points: those are no nearer than the

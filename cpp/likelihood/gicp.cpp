@@ -71,7 +71,8 @@ class Problem {
   }
 
   std::size_t inliers() const {
-    return count_ - static_cast<std::size_t>(std::count(targets_.begin(), targets_.end(), kNoPoint));
+    const auto lone = std::count(targets_.begin(), targets_.end(), kNoPoint);
+    return count_ - static_cast<std::size_t>(lone);
   }
 
  private:

@@ -31,7 +31,7 @@ class Surface {
   const PointGrid& grid() const { return grid_; }
   double max_correspondence_distance() const { return max_correspondence_distance_; }
 
-  // The nearest points to places, x, y, z each, in the grid's order; `lead`: PointGrid's, in metres.
+  // The nearest points to places, x, y, z each, in the grid's order. `lead`: PointGrid's, metres.
   std::vector<GridNearest> nearest(const std::vector<float>& places, double lead = 0.0) const;
 
   // Normals of points by their places in the grid's order. Unit length, of either sign; zero where

@@ -73,9 +73,10 @@ void RangeImage::add(const float* point, double half_width) {
   const double level = std::max(std::hypot(point[0], point[1]) / range, kSteepest);
   const int aside = std::min(static_cast<int>(std::ceil(up / level)), grid_.columns / 2);
   const std::size_t pixel = at(point);
-  const int column = static_cast<int>(pixel) / grid_.rows, row = static_cast<int>(pixel) % grid_.rows;
+  const int middle = static_cast<int>(pixel) / grid_.rows;
+  const int row = static_cast<int>(pixel) % grid_.rows;
   for (int dc = -aside; dc <= aside; ++dc) {
-    float* of = &nearest_[static_cast<std::size_t>((column + dc + grid_.columns) % grid_.columns) * grid_.rows];
+    float* of = column(middle + dc);
     for (int r = std::max(row - up, 0); r <= std::min(row + up, grid_.rows - 1); ++r) {
       of[r] = std::min(of[r], static_cast<float>(range));
     }
@@ -84,16 +85,16 @@ void RangeImage::add(const float* point, double half_width) {
 
 RangeImage RangeImage::eroded() const {
   RangeImage least = *this;
+  const int rows = grid_.rows;
+  std::vector<float> across(rows + 2, kFar);  // the least of three columns, between two ends
   for (int c = 0; c < grid_.columns; ++c) {
-    for (int r = 0; r < grid_.rows; ++r) {
-      float value = kFar;
-      for (int dc = -1; dc <= 1; ++dc) {
-        const int column = (c + dc + grid_.columns) % grid_.columns;
-        for (int row = std::max(r - 1, 0); row <= std::min(r + 1, grid_.rows - 1); ++row) {
-          value = std::min(value, nearest_[static_cast<std::size_t>(column) * grid_.rows + row]);
-        }
-      }
-      least.nearest_[static_cast<std::size_t>(c) * grid_.rows + r] = value;
+    const float *before = column(c - 1), *here = column(c), *after = column(c + 1);
+    for (int r = 0; r < rows; ++r) {
+      across[r + 1] = std::min(std::min(before[r], here[r]), after[r]);
+    }
+    float* to = least.column(c);
+    for (int r = 0; r < rows; ++r) {
+      to[r] = std::min(std::min(across[r], across[r + 1]), across[r + 2]);
     }
   }
   return least;

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "frontend/point_grid.h"
@@ -25,6 +26,12 @@ class RangeImage {
 
  private:
   std::size_t exact_pixel(const float* point) const;
+  // Its first pixel; columns go around.
+  const float* column(int c) const {
+    const int turned = (c + grid_.columns) % grid_.columns;
+    return &nearest_[static_cast<std::size_t>(turned) * grid_.rows];
+  }
+  float* column(int c) { return const_cast<float*>(std::as_const(*this).column(c)); }
 
   PixelGrid grid_;
   std::vector<float> nearest_;
