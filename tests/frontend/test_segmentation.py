@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from samples.lattice import exact_means
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -26,15 +27,6 @@ def cloud_of(points: np.ndarray, num_scans: int = 2) -> LocalCloud:
     return LocalCloud(np.ascontiguousarray(points, np.float32), np.eye(4), num_scans)
 
 
-def reference_voxel_grid(points: Float32, size: float) -> np.ndarray:
-    cells = np.floor(points.astype(np.float64) / size).astype(np.int64)
-    _, inverse = np.unique(cells[:, ::-1], axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    sums = np.zeros((inverse.max() + 1, 3))
-    np.add.at(sums, inverse, points.astype(np.float64))
-    return sums / np.bincount(inverse)[:, None]
-
-
 def reference_labels(points: Float32, radius: float) -> np.ndarray:
     pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
@@ -49,7 +41,7 @@ def partition(members: np.ndarray, offsets: np.ndarray) -> set[frozenset[int]]:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400), st.floats(0.05, 3.0))
 def test_voxel_grid_is_the_mean_of_each_voxel(seed: int, count: int, size: float) -> None:
     points = np.random.default_rng(seed).uniform(-5, 5, (count, 3)).astype(np.float32)
-    expected = reference_voxel_grid(points, size)
+    expected = exact_means(points.astype(np.float64), size)
     found = _native.voxel_grid(points, size)
     assert found.shape == expected.shape
     np.testing.assert_allclose(found, expected, atol=1e-5)

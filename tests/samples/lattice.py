@@ -26,6 +26,17 @@ def _means(points: Float64, edge: float) -> Float64:
     return means
 
 
+def exact_means(points: Float64, edge: float) -> Float64:
+    """The same without rounding of the points."""
+    cells, inverse, counts = np.unique(
+        np.floor(points[:, ::-1] / edge), axis=0, return_inverse=True, return_counts=True
+    )
+    sums = np.zeros((len(cells), 3))
+    np.add.at(sums, inverse.reshape(-1), points)
+    means: Float64 = sums / counts[:, None]
+    return means
+
+
 def gathered(
     scans: Sequence[Float32],
     poses: Sequence[Pose],
@@ -39,7 +50,7 @@ def gathered(
     for scan, T in zip(scans, poses, strict=True):
         points = scan.astype(np.float64)
         near = points[(points**2).sum(axis=1) <= reach * reach]
-        thin = _means(near, voxel_size / 2).astype(np.float32)
+        thin = exact_means(near, voxel_size / 2).astype(np.float32)
         placed.append(geometry.transform(T, thin))
     T_local_odom = geometry.inverse(geometry.levelled(poses[reference]))
     local = geometry.transform(T_local_odom, _means(np.concatenate(placed), voxel_size))
