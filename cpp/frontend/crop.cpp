@@ -16,4 +16,16 @@ std::vector<float> moved_crop(const float* points, std::size_t n, const Rigid& T
   return kept;
 }
 
+std::vector<float> within_range(const float* points, std::size_t n, double range) {
+  std::vector<float> kept(3 * n);
+  std::size_t size = 0;
+  for (const float* p = points; p < points + 3 * n; p += 3) {  // no branch to guess, as above
+    for (std::size_t a = 0; a < 3; ++a) kept[size + a] = p[a];
+    const double square = double{p[0]} * p[0] + double{p[1]} * p[1] + double{p[2]} * p[2];
+    size += square <= range * range ? 3 : 0;
+  }
+  kept.resize(size);
+  return kept;
+}
+
 }  // namespace segloc

@@ -18,4 +18,7 @@ inline bool is_near_axis(const std::array<double, 3>& p, double radius) {
 // The points, (n, 3) row-major, moved by T; of those that are then near the z axis.
 std::vector<float> moved_crop(const float* points, std::size_t n, const Rigid& T, double radius);
 
+// The points no farther than `range` from the origin.
+std::vector<float> within_range(const float* points, std::size_t n, double range);
+
 }  // namespace segloc

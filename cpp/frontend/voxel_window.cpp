@@ -117,14 +117,8 @@ void VoxelWindow::check_places(const std::vector<Rigid>& T_odom_sensor) const {
 
 // The mean of every voxel of half the edge within reach.
 std::vector<float> VoxelWindow::thinned(const float* points, std::size_t n) const {
-  const double reach2 = reach_ * reach_;
-  std::vector<float> near(3 * n + 3);
-  std::size_t size = 0;
-  for (const float* p = points; p < points + 3 * n; p += 3) {  // no branch to guess
-    for (std::size_t a = 0; a < 3; ++a) near[size + a] = p[a];
-    size += double{p[0]} * p[0] + double{p[1]} * p[1] + double{p[2]} * p[2] <= reach2 ? 3 : 0;
-  }
-  return voxel_grid(near.data(), size / 3, voxel_size_ / 2);
+  const std::vector<float> near = within_range(points, n, reach_);
+  return voxel_grid(near.data(), near.size() / 3, voxel_size_ / 2);
 }
 
 // The voxels of a scan where it stands.

@@ -19,7 +19,6 @@ class Surface {
  public:
   using Normal = std::array<double, 3>;
 
-
   // Copies n points, (n, 3) row-major. Nearest points are those up to `max_correspondence_distance`
   // metres away; the points within `support` metres of one decide on its normal. `tiled`: for
   // targets, points of a tile of the plane follow one another, so that queries in a part of a map

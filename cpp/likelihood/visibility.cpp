@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "common/rigid.h"
+#include "frontend/crop.h"
 
 namespace segloc {
 namespace {
@@ -26,16 +27,6 @@ double range_squared(const float* p) {
 
 // More than a quick angle of the kernel is ever wrong, degrees.
 constexpr double kQuickError = 2e-3;
-
-// Limit of the visible part of a map: points beyond need not be searched.
-std::vector<float> within(const float* points, std::size_t n, double reach) {
-  std::vector<float> near;
-  for (std::size_t i = 0; i < n; ++i) {
-    const float* p = points + 3 * i;
-    if (range_squared(p) <= reach * reach) near.insert(near.end(), p, p + 3);
-  }
-  return near;
-}
 
 RangeImage image_of(const float* structure, std::size_t n, const float* ground, std::size_t g,
                     double bin_deg) {
@@ -149,7 +140,7 @@ int GroundCeiling::cell(float v) const {
 
 VisibilityCheck::VisibilityCheck(const float* structure, std::size_t n, const float* ground,
                                  std::size_t g, double range, double bin_deg, double radius)
-    : VisibilityCheck(within(structure, n, range + kBeyond * radius), structure, n, ground, g,
+    : VisibilityCheck(within_range(structure, n, range + kBeyond * radius), structure, n, ground, g,
                       range, bin_deg, radius) {}
 
 VisibilityCheck::VisibilityCheck(const std::vector<float>& near, const float* structure,

@@ -4,12 +4,13 @@
 #include <array>
 #include <utility>
 
+#include "proposals/pose/match_table.h"
+
 namespace segloc {
 namespace {
 
 constexpr std::size_t kKeptPerStep = 48;
 constexpr std::size_t kFront = 32;  // values before a table
-constexpr std::size_t kMaxWidth = 16;
 
 // Voters from `begin` to `end` each count in their own cell, once for each object in a row. Nearly
 // every branch would be a coin toss: there is none.

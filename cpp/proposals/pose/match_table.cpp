@@ -10,8 +10,6 @@
 namespace segloc {
 namespace {
 
-constexpr std::size_t kMaxWidth = 16;
-
 // Numbers the distinct values in rising order.
 std::size_t number(std::vector<std::uint32_t>& values) {
   std::vector<std::uint64_t> keys(values.begin(), values.end());

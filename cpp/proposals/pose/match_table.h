@@ -10,6 +10,8 @@
 
 namespace segloc {
 
+constexpr std::size_t kMaxWidth = 16;  // of a vector, for any instruction set
+
 struct MatchRange {
   std::size_t begin, end;
 };

@@ -1,6 +1,7 @@
 #include "proposals/pose/pose_start.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -174,23 +175,26 @@ std::vector<PoseStart> best_starts(const MatchTable& f, const PoseCell& cell,
   const double middle[2] = {c0 * votes.middle[0] - s0 * votes.middle[1] + cell.x,
                             s0 * votes.middle[0] + c0 * votes.middle[1] + cell.y};
   FineVotes fine(middle[0], middle[1], votes.width, width);
+  const auto translation = [&](std::uint32_t k, double c, double s) {  // that a match implies
+    const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
+    return std::array<double, 2>{f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y)};
+  };
   PoseStart start;
   for (int step = 0; step <= kFineSteps; ++step) {
     const double yaw = cell.yaw + (step - 0.5 * kFineSteps) * turn;
     const double c = std::cos(yaw), s = std::sin(yaw);
     fine.clear();
     for (const std::uint32_t k : matches) {
-      const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
-      fine.add(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y), f.group[k]);
+      const auto [x, y] = translation(k, c, s);
+      fine.add(x, y, f.group[k]);
     }
     if (fine.improve(start)) start.pose.yaw = yaw;
   }
   const double c = std::cos(start.pose.yaw), s = std::sin(start.pose.yaw);
   std::uint32_t group = ~0u;
   for (const std::uint32_t k : matches) {  // the first of the last object
-    const double x = f.qx[k] - votes.middle[0], y = f.qy[k] - votes.middle[1];
-    if (f.group[k] == group) continue;
-    if (!fine.in_best(f.mx[k] - (c * x - s * y), f.my[k] - (s * x + c * y))) continue;
+    const auto [x, y] = translation(k, c, s);
+    if (f.group[k] == group || !fine.in_best(x, y)) continue;
     start.index = k;
     group = f.group[k];
   }

@@ -23,19 +23,25 @@ void vote_cells(const MatchArrays& f, size_t count, const VoteLattice& l, uint32
 
 constexpr size_t kLanes = 32;
 
-// A bound of the votes in each of a few windows, which are two by two cells, and the largest.
+// A bound of the votes in the window of two by two cells that end with these and those before them.
+inline uint16_t window_votes(uint16_t before_above, uint16_t above, uint16_t before_here,
+                             uint16_t here) {
+  return static_cast<uint16_t>((above & kVotes) + (before_above & kVotes) + (here & kVotes) +
+                               (before_here & kVotes));
+}
+
+// The bounds of a few windows, and the largest.
 inline uint16_t sums_of(const uint16_t* above, const uint16_t* here, uint16_t* sums) {
   const uint16_t *before_above = above - 1, *before_here = here - 1;
   uint16_t most = 0;
   for (size_t i = 0; i < kLanes; ++i) {
-    sums[i] = static_cast<uint16_t>((above[i] & kVotes) + (before_above[i] & kVotes) +
-                                    (here[i] & kVotes) + (before_here[i] & kVotes));
+    sums[i] = window_votes(before_above[i], above[i], before_here[i], here[i]);
     most = sums[i] > most ? sums[i] : most;
   }
   return most;
 }
 
-// Whether there may be a window of `fewest` votes among so many, a multiple of the lanes.
+// Whether any of the windows, a multiple of the lanes, may hold `fewest` votes.
 inline bool any_full(const uint16_t* above, const uint16_t* here, size_t windows,
                      uint32_t fewest) {
   uint16_t most[kLanes] = {}, highest = 0;
@@ -43,8 +49,7 @@ inline bool any_full(const uint16_t* above, const uint16_t* here, size_t windows
     const uint16_t *a = above + first, *b = here + first;
     const uint16_t *before_a = a - 1, *before_b = b - 1;
     for (size_t i = 0; i < kLanes; ++i) {
-      const auto sum = static_cast<uint16_t>((a[i] & kVotes) + (before_a[i] & kVotes) +
-                                             (b[i] & kVotes) + (before_b[i] & kVotes));
+      const uint16_t sum = window_votes(before_a[i], a[i], before_b[i], b[i]);
       most[i] = sum > most[i] ? sum : most[i];
     }
   }
@@ -62,9 +67,7 @@ size_t full_in_row(const uint16_t* above, const uint16_t* here, size_t columns, 
     if (votes < fewest) return;
     found[count++] = votes << kSlotBits | static_cast<uint32_t>(y * columns + x);
   };
-  test(uint32_t(above[last] & kVotes) + uint32_t(above[0] & kVotes) +
-           uint32_t(here[last] & kVotes) + uint32_t(here[0] & kVotes),
-       0);
+  test(window_votes(above[last], above[0], here[last], here[0]), 0);
   for (size_t start = 0; start < columns; start += block) {
     if (!any_full(above + start, here + start, block, fewest)) continue;
     for (size_t first = start; first < start + block; first += kLanes) {
