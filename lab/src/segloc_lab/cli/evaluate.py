@@ -242,7 +242,7 @@ _EXPLAINED = {
     "timing": "Measure the time of a query, stage by stage. (Table III)",
     "memory": "Measure the memory of training.",
     "all": "Run all studies, one after the other.\n\n"
-    "About half an hour on two idle cores at the small scale, 90 minutes at the full scale.",
+    "About half an hour on two idle cores at the small scale, five hours at the full scale.",
 }
 
 Suite = Annotated[str, typer.Option(metavar="NAME", help="Suite of simulated test sets.")]
