@@ -74,7 +74,7 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
 def test_queries_are_counted_in_their_own_and_in_other_maps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     for name, seed in (("offices", 2), ("warehouse", 3)):
         write_world(simulated(name, seed, 24.0), tmp_path / "worlds" / f"{name}-{seed}", config)
     out = tmp_path / "kept.jsonl"
@@ -94,12 +94,3 @@ def test_queries_are_counted_in_their_own_and_in_other_maps(
     assert rows["offices"]["in its mirror image"] == queries
     assert rows["warehouse"]["in its mirror image"] == 0
     assert rows["offices"]["own map: right"] == f"{queries} of {queries}"
-
-
-def test_false_answers_are_listed_the_surest_first() -> None:
-    found = {"query": 3, "made": "single", "sensor": "vlp16", "map": "half", "error_m": 9.0}
-    false = [found | {"confidence": 0.6}, found | {"confidence": 0.9}]
-    assert [row[-1] for row in wrong_maps.false_answers([{"part": ["a-1"], "false": false}])] == [
-        0.9,
-        0.6,
-    ]

@@ -16,12 +16,10 @@ def test_a_report_has_its_command_tables_and_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["/usr/bin/segloc", "bench", "--kitti", "/data/kitti00"])
-    picture = tmp_path / "curve.svg"
-    picture.write_text("<svg/>")
     table = Table(("method", "n", "share"), [("dsm", 41, 0.25), ("geo", None, "0 of 3")], "A note.")
     folder = tmp_path / "new" / "report"
-    text = write(folder, "A study", [table], [picture]).read_text()
-    assert "kitti00" in text and "/data" not in text and "![curve](curve.svg)" in text
+    text = write(folder, "A study", [table]).read_text()
+    assert "kitti00" in text and "/data" not in text
     assert "| geo | - | 0 of 3 |" in text and "A note." in text
     (kept,) = json.loads((folder / "rows.json").read_text())
     assert kept["rows"] == [["dsm", 41, 0.25], ["geo", None, "0 of 3"]]

@@ -21,7 +21,7 @@ def mirrored(prior_map: SegmentMap) -> SegmentMap:
     cloud = (prior_map.cloud + prior_map.origin) * flip
     across = np.diag([*flip, 1.0])
     path = across @ prior_map.trajectory @ across
-    return _remade(prior_map, prior_map.centroids * flip, prior_map.vectors, cloud, path)
+    return remade(prior_map, centroids=prior_map.centroids * flip, cloud=cloud, trajectory=path)
 
 
 def beside_its_mirror(prior_map: SegmentMap) -> SegmentMap:
@@ -40,23 +40,15 @@ def beside_its_mirror(prior_map: SegmentMap) -> SegmentMap:
     return both
 
 
-def shuffled(prior_map: SegmentMap, seed: int = 0) -> SegmentMap:
-    """The map with every descriptor at another segment.
-
-    Here a right pose can still be found, where centroids alone suffice.
-    """
-    vectors = prior_map.vectors[np.random.default_rng(seed).permutation(len(prior_map))]
-    cloud = prior_map.cloud + prior_map.origin
-    return _remade(prior_map, prior_map.centroids, vectors, cloud, prior_map.trajectory)
-
-
-def _remade(
+def remade(
     prior_map: SegmentMap,
-    centroids: Float64,
-    vectors: Float32,
-    cloud: Float64,
-    trajectory: Float64,
+    *,
+    vectors: Float32 | None = None,
+    centroids: Float64 | None = None,
+    cloud: Float64 | None = None,
+    trajectory: Float64 | None = None,
 ) -> SegmentMap:
+    """The map with some of its columns replaced; those given are in the map frame."""
     other = SegmentMap.empty(
         prior_map.descriptor,
         prior_map.fingerprint,
@@ -64,9 +56,15 @@ def _remade(
         prior_map.origin,
         cloud_voxel=prior_map.cloud_voxel,
     )
-    described = Descriptors(vectors, prior_map.quality)
-    other.add(described, centroids, prior_map.sizes, session=0, stamp=0.0, cloud=cloud)
-    other.add_trajectory(trajectory)
+    other.add(
+        Descriptors(prior_map.vectors if vectors is None else vectors, prior_map.quality),
+        prior_map.centroids if centroids is None else centroids,
+        prior_map.sizes,
+        session=0,
+        stamp=0.0,
+        cloud=prior_map.cloud + prior_map.origin if cloud is None else cloud,
+    )
+    other.add_trajectory(prior_map.trajectory if trajectory is None else trajectory)
     other.metadata.update(prior_map.metadata)
     return other
 

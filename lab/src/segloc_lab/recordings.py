@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from segloc.io import read_scan
 from segloc.system.files import replacing
 from segloc.types import Derived, Float64, Pose, Recording, Scan, stamp_at
 
+from .kitti00 import poses_of
 from .simulation import SimulatedSequence
 from .simulation.motion.platforms import on_ground
 
@@ -69,6 +72,18 @@ class Surveyed(Derived[SimulatedSequence]):
     def object_ids(self, i: int) -> NDArray[np.int32]:
         """The true object of every point of a scan."""
         return self.source.object_ids(i)
+
+
+class Cached:
+    """A recording that keeps its scans in memory, or the last ``most`` of them."""
+
+    def __init__(self, recording: Recording, most: int | None = None) -> None:
+        self.name, self.indices, self.poses = recording.name, recording.indices, recording.poses
+        self.stamps = recording.stamps
+        self.scan = lru_cache(most)(recording.scan)
+
+    def __len__(self) -> int:
+        return len(self.indices)
 
 
 @dataclass(frozen=True)
@@ -158,6 +173,12 @@ class Turned(Derived[Recording]):
         """The scan at position i, turned."""
         T = self.T_turned_level(i)
         return Scan(geometry.transform(T, super().scan(i).points), stamp=stamp_at(self, i))
+
+
+def posed(recording: Recording) -> Iterator[Float64]:
+    """Yield the points of each scan in the frame of the recording's poses, (N, 3)."""
+    for i, T in enumerate(poses_of(recording)):
+        yield geometry.transform(T, recording.scan(i).points)
 
 
 class Files:

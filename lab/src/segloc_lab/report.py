@@ -7,11 +7,10 @@ import json
 import os
 import platform
 import shlex
-import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
@@ -87,9 +86,14 @@ def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
     return options
 
 
-def entries(path: Path) -> list[dict[str, Any]]:
-    """Read the lines of JSON that a run has kept, in order."""
-    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+def entries(*paths: Path) -> list[dict[str, Any]]:
+    """Read the lines of JSON that runs have kept, in order."""
+    return [json.loads(line) for path in paths for line in path.read_text("utf-8").splitlines()]
+
+
+def earlier(path: Path) -> list[dict[str, Any]]:
+    """Read what an interrupted run has kept; nothing without its file."""
+    return entries(path) if path.exists() else []
 
 
 def keep(path: Path, entry: Mapping[str, Any]) -> None:
@@ -98,21 +102,9 @@ def keep(path: Path, entry: Mapping[str, Any]) -> None:
         stream.write(json.dumps(entry) + "\n")
 
 
-def head(*columns: str) -> str:
-    """Format the head of a Markdown table."""
-    return f"{row(*columns)}\n{row(*('---' for _ in columns))}"
-
-
 def row(*cells: object) -> str:
     """Format a row of a Markdown table."""
     return f"| {' | '.join(map(str, cells))} |"
-
-
-def show(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a Markdown table, row by row."""
-    print(head(*columns))
-    for cells in rows:
-        print(row(*cells), flush=True)
 
 
 Cell = str | int | float | None
@@ -137,7 +129,7 @@ class Table:
     def parts(self) -> list[str]:
         """Format the heading, the table and the note as paragraphs of Markdown."""
         rows = (self.columns, ["---"] * len(self.columns), *self.rows)
-        table = "\n".join(f"| {' | '.join(map(_text, row))} |" for row in rows)
+        table = "\n".join(row(*map(_text, cells)) for cells in rows)
         heading = f"## {self.title}" if self.title else ""
         return [part for part in (heading, table, self.note) if part]
 
@@ -149,8 +141,8 @@ def publish(folder: Path | None, title: str, *tables: Table) -> None:
         print(write(folder, title, tables))
 
 
-def write(folder: Path, title: str, tables: Sequence[Table], pictures: Iterable[Path] = ()) -> Path:
-    """Write a report into a new folder, with copies of the pictures."""
+def write(folder: Path, title: str, tables: Sequence[Table]) -> Path:
+    """Write a report into a new folder."""
     require_new(folder)
     folder.mkdir(parents=True)
     minutes = (time.monotonic() - _BEGAN) / 60
@@ -161,9 +153,6 @@ def write(folder: Path, title: str, tables: Sequence[Table], pictures: Iterable[
     ]
     for table in tables:
         parts += table.parts()
-    for picture in pictures:
-        shutil.copy(picture, folder / picture.name)
-        parts.append(f"![{picture.stem}]({picture.name})")
     rows = [{"title": t.title, "columns": t.columns, "rows": t.rows} for t in tables]
     write_text(folder / "REPORT.md", "\n\n".join(parts) + "\n")
     write_text(folder / "rows.json", json.dumps(rows, ensure_ascii=False, indent=1) + "\n")

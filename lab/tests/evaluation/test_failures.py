@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ import pytest
 from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.evaluation.failures import funnel
 from segloc_lab.evaluation.scenario import QuerySet
+from segloc_lab.padding import remade
 from typer.testing import CliRunner
 
 from segloc import Config, Localizer, SegmentMap, build_map
 from segloc.cli import app
 from segloc.io import Trajectory, write_tum
-from segloc.types import Descriptors
 
 
 @pytest.fixture(scope="module")
@@ -55,48 +56,29 @@ def test_a_rejected_pose_names_its_gate(prior_map: SegmentMap, walk: PlazaSequen
 
 
 def test_matches_and_segments_that_are_missing(prior_map: SegmentMap, walk: PlazaSequence) -> None:
-    shuffled = changed(prior_map, vectors=np.roll(prior_map.vectors, 7, axis=0))
+    shuffled = remade(prior_map, vectors=np.roll(prior_map.vectors, 7, axis=0))
     matching = Config.preset("geo").matching
     one = matching.model_copy(update={"neighbours": 1, "escalation": 1})
     few = by_segments(matching=one, threads=1)
     assert stages(Localizer(shuffled, few), walk) == {"true neighbours not matched"}
-    moved = changed(prior_map, centroids=prior_map.centroids + np.array([0, 0, 30.0]))
+    moved = remade(prior_map, centroids=prior_map.centroids + np.array([0, 0, 30.0]))
     assert stages(Localizer(moved, few), walk) == {"segments not repeated"}
 
 
-def changed(prior_map: SegmentMap, **columns: np.ndarray) -> SegmentMap:
-    other = SegmentMap.empty(
-        prior_map.descriptor, prior_map.fingerprint, prior_map.dim, prior_map.origin
-    )
-    other.add(
-        Descriptors(columns.get("vectors", prior_map.vectors), prior_map.quality),
-        columns.get("centroids", prior_map.centroids),
-        prior_map.sizes,
-        session=0,
-        stamp=0.0,
-        cloud=prior_map.cloud + prior_map.origin,
-    )
-    other.add_trajectory(prior_map.trajectory)
-    return other
-
-
 def test_the_verb_writes_the_funnel_and_pictures(
-    prior_map: SegmentMap, walk: PlazaSequence, tmp_path: object
+    prior_map: SegmentMap, walk: PlazaSequence, tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib")
-    import pathlib
-
-    folder = pathlib.Path(str(tmp_path))
-    run, out = folder / "run", folder / "out"
+    run, out = tmp_path / "run", tmp_path / "out"
     run.mkdir()
     for i in range(3):
         np.save(run / f"{i:06d}.npy", walk.scan(i).points)
-    write_tum(folder / "truth.tum", Trajectory(np.arange(3.0), walk.poses[:3]))
-    prior_map.save(folder / "site.segmap")
-    (folder / "c.yaml").write_text("verification: {min_confidence: 1.0}\n")
-    arguments = ["evaluate", "failures", str(run), "--map", str(folder / "site.segmap"), "--truth"]
-    arguments += [str(folder / "truth.tum"), "--out", str(out), "--pictures", "1"]
-    result = CliRunner().invoke(app, [*arguments, "--config", str(folder / "c.yaml")])
+    write_tum(tmp_path / "truth.tum", Trajectory(np.arange(3.0), walk.poses[:3]))
+    prior_map.save(tmp_path / "site.segmap")
+    (tmp_path / "c.yaml").write_text("verification: {min_confidence: 1.0}\n")
+    arguments = [run, "--map", tmp_path / "site.segmap", "--truth", tmp_path / "truth.tum"]
+    arguments += ["--out", out, "--pictures", 1, "--config", tmp_path / "c.yaml"]
+    result = CliRunner().invoke(app, ["evaluate", "failures", *map(str, arguments)])
     assert result.exit_code == 0, result.output
     assert json.loads((out / "funnel.json").read_text())["within_coverage"] == 3
     assert [p.suffix for p in sorted(out.iterdir())] == [".png", ".json"]

@@ -31,24 +31,13 @@ from segloc.likelihood import ERRORS, ErrorModel
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..protocols.real import maps, queries, sources
-from ..report import head, row
+from ..report import Cell, Table, publish
 from ..script import parser
 from .worlds import EVERY_M, KINDS, SimulatedWorld, views, worlds
 
 FALSE_M, FALSE_DEG = 1.0, 5.0
 """Answers farther off are false: no covariance is meant to cover them."""
 SHARES = (0.68, 0.95)
-COLUMNS = (
-    "errors",
-    "n",
-    "model",
-    "median deg",
-    "median m",
-    "rotation in 68 %",
-    "in 95 %",
-    "position in 68 %",
-    "in 95 %",
-)
 REAL_STEP = 5
 _LEAST = (0.2, 0.2, 1e-3, 1e-3, 1e-4, 1e-4)  # of the model's parameters
 Row = tuple[float, ...]
@@ -169,9 +158,7 @@ def report(rows: Float64, names: list[str], models: dict[str, ErrorModel]) -> No
     parts = {"all": np.ones(len(rows), dtype=bool)}
     parts |= {"single": rows[:, 2] == 0, "accumulated": rows[:, 2] == 1}
     parts |= {name: kind == name for name in dict.fromkeys(kind)}
-    print(
-        head("errors", "n", "model", "deg", "m", "rotation 68 %", "95 %", "position 68 %", "95 %")
-    )
+    table: list[tuple[Cell, ...]] = []
     for name, chosen in parts.items():
         some = rows[chosen]
         if not len(some):
@@ -180,12 +167,14 @@ def report(rows: Float64, names: list[str], models: dict[str, ErrorModel]) -> No
         m = np.median(np.linalg.norm(some[:, 6:9], axis=1))
         for label, model in models.items():
             shares = [f"{share:.0%}" for share in within(some, model).ravel()]
-            print(row(name, len(some), label, f"{deg:.2f}", f"{m:.3f}", *shares))
+            table.append((name, len(some), label, f"{deg:.2f}", f"{m:.3f}", *shares))
+    columns = ("errors", "n", "model", "deg", "m", "rotation 68 %", "95 %", "position 68 %", "95 %")
+    publish(None, "", Table(columns, table))
 
 
 def measured(first_seed: int, each: int, out: Path) -> None:
     """Localize in all worlds; rows are kept after each."""
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     rows: list[Row] = []
     names: list[str] = []
     for world in worlds(first_seed, each, list(KINDS)):
@@ -207,14 +196,14 @@ def main() -> None:
         measured(args.first_seed, args.each, args.out)
     with np.load(args.rows or args.out, allow_pickle=False) as kept:
         rows, names = kept["rows"], kept["names"].tolist()
-    fits = rows[:, 0] < (len(names) + 1) // 2
+    half = (len(names) + 1) // 2
+    fits = rows[:, 0] < half
     model = fitted(rows[fits])
-    print(f"{model}\n\nfitted on {', '.join(names[: (len(names) + 1) // 2])}\n")
+    print(f"{model}\n\nfitted on {', '.join(names[:half])}\n")
     models = {"alignment": ErrorModel(1.0, 1.0, 0.0, 0.0, 0.0, 0.0), "shipped": ERRORS}
     report(rows[~fits], names, {**models, "fitted": model})
     if args.real is not None:
-        config = Config.preset("profile").model_copy(update={"threads": 1})
-        report(*real_rows(args.real, config), models)
+        report(*real_rows(args.real, Config(threads=1)), models)
 
 
 if __name__ == "__main__":

@@ -20,13 +20,11 @@ from rich.progress import track
 from segloc import Config, Localizer
 from segloc.system.processes import in_parallel
 
-from ..report import Cell, Table, entries, keep, publish, reporting, wilson
+from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
 from .rows import HOME, World, errors, worlds_of
 
 RIGHT_M = 2.0
 """Error from which an answer is false [m]."""
-ALIKE = ("offices", "warehouse")
-"""Kinds of worlds whose parts repeat."""
 Answers = list[dict[str, Any]]
 
 
@@ -133,8 +131,8 @@ def main() -> None:
     options.add_argument("--first", type=int, default=0, help="number of the first world taken")
     options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
-    config = Config.preset("profile").model_copy(update={"threads": 1})
-    done = {entry["world"] for entry in entries(args.out)} if args.out.exists() else set()
+    config = Config(threads=1)
+    done = {entry["world"] for entry in earlier(args.out)}
     chosen = worlds_of(args.worlds)[args.first :: args.every]
     left = [world for world in chosen if world.name not in done]
     found = in_parallel(partial(answers_in, config=config), left, args.workers)

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.batch import pose_errors
 from segloc.proposals import (
     LandmarkConfig,
     LandmarkLocalizer,
@@ -30,6 +29,7 @@ from segloc.proposals import (
 )
 from segloc.types import Float64, Pose
 
+from ..outcomes import pose_error
 from ..script import parser
 
 LEAN_RAD = math.radians(4.0)
@@ -77,24 +77,20 @@ def wild(rng: np.random.Generator, size_m: float, a_hectare: float) -> Landmarks
     return _grown(np.delete(where, sorted(crowded), axis=0), rng)
 
 
-def planted(
-    rng: np.random.Generator, size_m: float, rows_m: float, trees_m: float, jitter_m: float = 0.15
-) -> Landmarks:
-    """Stems in rows, a tenth of them gone."""
-    x, y = np.meshgrid(np.arange(0, size_m, rows_m), np.arange(0, size_m, trees_m))
+def planted(rng: np.random.Generator, size_m: float) -> Landmarks:
+    """Stems in rows 4 m apart, every 2.5 m, a tenth of them gone."""
+    x, y = np.meshgrid(np.arange(0, size_m, 4.0), np.arange(0, size_m, 2.5))
     where = np.stack([x.ravel(), y.ravel()], axis=1)
     where = where[rng.random(len(where)) < 0.9]
-    return _grown(where + rng.normal(0, jitter_m, where.shape), rng)
+    return _grown(where + rng.normal(0, 0.3, where.shape), rng)
 
 
-def surveyed(
-    stems: Landmarks, path: Float64, detector: Detector, rng: np.random.Generator
-) -> LandmarkMap:
+def surveyed(stems: Landmarks, path: Float64, rng: np.random.Generator) -> LandmarkMap:
     """The map that a detector makes of them along a path of (V, 2) points."""
     mapper = LandmarkMapper()
     for x, y in path:
         T = pose_at(x, y, rng)
-        mapper.add(detector.seen(stems, T, rng), T)
+        mapper.add(Detector().seen(stems, T, rng), T)
     return mapper.map()
 
 
@@ -104,10 +100,10 @@ def mirrored(prior_map: LandmarkMap) -> LandmarkMap:
     return replace(prior_map, positions=prior_map.positions * flip, axes=prior_map.axes * flip)
 
 
-def pose_at(x: float, y: float, rng: np.random.Generator, tilt_deg: float = 5.0) -> Pose:
+def pose_at(x: float, y: float, rng: np.random.Generator) -> Pose:
     """T_map_sensor 1.5 m above the ground there, any heading, a little off level."""
     T = geometry.yaw_transform(rng.uniform(-math.pi, math.pi), (x, y, height(x, y) + 1.5))
-    pitch, roll = rng.normal(0, math.radians(tilt_deg), 2)
+    pitch, roll = rng.normal(0, math.radians(5.0), 2)
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     tilt = np.array([[cp, sp * sr, sp * cr], [0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return T @ geometry.rigid(tilt, np.zeros(3))
@@ -140,8 +136,8 @@ def stands(seed: int) -> Iterator[tuple[Landmarks, LandmarkMap, np.random.Genera
         if kind < 6:
             stems = wild(rng, SIZE_M, a_hectare=(200, 500, 1000)[kind % 3])
         else:
-            stems = planted(rng, SIZE_M, rows_m=4.0, trees_m=2.5, jitter_m=0.3)
-        yield stems, surveyed(stems, path, Detector(), rng), rng
+            stems = planted(rng, SIZE_M)
+        yield stems, surveyed(stems, path, rng), rng
 
 
 def outcomes(seed: int, queries: int) -> Iterator[tuple[tuple[float, ...], bool]]:
@@ -162,9 +158,8 @@ def outcomes(seed: int, queries: int) -> Iterator[tuple[tuple[float, ...], bool]
             search, _ = localizers[i % 4].search(query.moved(T_local_sensor))
             for place in search.posterior.places[:1]:
                 T_found = place.T_map_local @ T_local_sensor
-                metres, degrees = pose_errors(T_found[None], T[None])
-                right = metres[0] < RIGHT_M and degrees[0] < RIGHT_DEG and i % 4 < 2
-                yield place.features, bool(right)
+                metres, degrees = pose_error(T_found, T)
+                yield place.features, metres < RIGHT_M and degrees < RIGHT_DEG and i % 4 < 2
 
 
 def fitted(rows: Float64, right: Float64) -> Float64:

@@ -10,6 +10,7 @@ anew. One file a world; files that exist are kept.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -20,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
-from segloc import Config, Localizer, SegmentMap, geometry
+from segloc import Config, Localizer, SegmentMap
 from segloc.proposals import Query
 from segloc.types import Float32, Float64, Int64, Pose
 
+from ..outcomes import pose_error
 from ..padding import mirrored, padded
 from ..script import parser
 from .worlds import KINDS, Made, generated, kind_of, load_queries
@@ -205,10 +207,7 @@ def rounded(fits: Float64) -> Float32:
 
 def errors(T_map_sensor: Pose, truth: Pose | None) -> tuple[float, float]:
     """Compute the error of a pose [m, deg]; NaN where the map does not hold the place."""
-    if truth is None:
-        return float("nan"), float("nan")
-    delta = geometry.inverse(truth) @ T_map_sensor
-    return float(np.linalg.norm(delta[:3, 3])), float(np.degrees(geometry.rotation_angle(delta)))
+    return (math.nan, math.nan) if truth is None else pose_error(T_map_sensor, truth)
 
 
 def main() -> None:
@@ -219,7 +218,7 @@ def main() -> None:
     options.add_argument("--first", type=int, default=0, help="number of the first world taken")
     args = options.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     chosen = worlds_of(args.worlds)[args.first :: args.every]
     for world in track(chosen, "worlds"):
         path = args.out / f"{world.name}.npz"

@@ -300,7 +300,7 @@ def seed_of(world: Path) -> int:
 
 def generate(folder: Path) -> float:
     """Make the world of a folder ``KIND-SEED``; return the processor time [s]."""
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     start = time.process_time()
     write_world(simulated(kind_of(folder), seed_of(folder)), folder, config)
     return time.process_time() - start

@@ -154,7 +154,6 @@ def rows(place: Place, descriptors: Mapping[str, Descriptor]) -> Iterator[tuple[
 
 
 def main() -> None:
-    """Measure all places, and publish the table."""
     options = reporting(__doc__)
     options.add_argument("--methods", nargs="+", default=["profile", "dsm", "geo"])
     options.add_argument("--places", nargs="+", default=["sample", *SIZES_M])

@@ -19,10 +19,11 @@ import numpy as np
 import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors, query_clouds
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.types import Float32, Float64, Pose
 
 from ..kitti00 import PROTOCOLS, query_set
+from ..outcomes import pose_error
 from ..report import Table, publish, reporting
 
 VOXEL_M, CORRESPONDENCE_M, RADIUS_M = 0.3, 1.0, 50.0
@@ -62,9 +63,7 @@ class Reference:
                 )
                 start = np.array(result.T_target_source)
             ends.append(start)
-        (apart,), _ = pose_errors(ends[1][None], ends[0][None])
-        (moved,), _ = pose_errors(ends[0][None], T[None])
-        if apart > AGREE_M or moved > FARTHEST_M:
+        if pose_error(ends[1], ends[0])[0] > AGREE_M or pose_error(ends[0], T)[0] > FARTHEST_M:
             return None
         end = geometry.orthonormal(ends[0])
         return geometry.rigid(end[:3, :3], end[:3, 3] + self._origin)
@@ -88,8 +87,7 @@ def errors(data: Path, protocol: str, localizer: Localizer, step: int) -> tuple[
         if T_map_local is None:
             out += 1
             continue
-        expected = T_map_local @ cloud.T_local_sensor
-        found.append(np.concatenate(pose_errors(answer.T_map_sensor[None], expected[None])))
+        found.append(pose_error(answer.T_map_sensor, T_map_local @ cloud.T_local_sensor))
     return np.array(found).reshape(-1, 2), out, lost
 
 

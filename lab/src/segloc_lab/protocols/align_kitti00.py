@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, geometry
-from segloc.datasets import open_sequence
 from segloc.frontend import Accumulator, window
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.system import kernels
-from segloc.types import Float32, Float64, Int64, Pose
+from segloc.types import Float32, Float64, Int64, Pose, Recording
 
+from ..kitti00 import keyframes, poses_of
 from ..report import Table, publish, reporting
 from ..simulation import OdometryNoise
 from ..training.session_registration import Registration
@@ -51,12 +51,12 @@ Errors = dict[tuple[int, int], Float64]
 """Errors of pairs of poses [m, deg], (n, 2), by pair of sessions."""
 
 
-def drifted(recording: Reposed, rng: np.random.Generator) -> Reposed:
+def drifted(source: Recording, truth: Float64, rng: np.random.Generator) -> Reposed:
     """Return the recording with 1 % of drift, in its own frame."""
     frame = geometry.yaw_transform(
         float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
     )
-    return Reposed(recording.source, frame @ DRIFT.odometry(recording.poses, rng))
+    return Reposed(source, frame @ DRIFT.odometry(truth, rng))
 
 
 def local_cloud(recording: Reposed, i: int) -> tuple[Pose, Float32]:
@@ -78,11 +78,17 @@ def reference(a: Reposed, i: int, b: Reposed, j: int) -> Pose | None:
     return T_a_b
 
 
-def pairs_across(a: Reposed, b: Reposed) -> list[tuple[int, int]]:
-    """Return some scans of b and the nearest of a, where the two passes overlap."""
-    apart = np.linalg.norm(a.poses[:, None, :2, 3] - b.poses[None, :, :2, 3], axis=2)
-    near = np.flatnonzero(apart.min(axis=0) < PLACE_M)[::EVERY]
+def pairs_across(a: Float64, b: Float64) -> list[tuple[int, int]]:
+    """Return the poses of b with one of a near by, and the nearest of a."""
+    apart = np.linalg.norm(a[:, None, :2, 3] - b[None, :, :2, 3], axis=2)
+    near = np.flatnonzero(apart.min(axis=0) < PLACE_M)
     return [(int(apart[:, j].argmin()), int(j)) for j in near]
+
+
+def off(wanted: Pose, a: Pose, b: Pose) -> tuple[float, float]:
+    """Return the error of b relative to a [m, deg]; ``wanted`` is the true T_a_b."""
+    delta = geometry.inverse(wanted) @ geometry.inverse(a) @ b
+    return float(np.linalg.norm(delta[:3, 3])), np.degrees(geometry.rotation_angle(delta))
 
 
 def errors(truth: list[Reposed], found: Alignment) -> Errors:
@@ -91,13 +97,10 @@ def errors(truth: list[Reposed], found: Alignment) -> Errors:
     for b in range(len(truth)):
         for a in range(b):
             rows = []
-            for i, j in pairs_across(truth[a], truth[b]):
+            for i, j in pairs_across(truth[a].poses, truth[b].poses)[::EVERY]:
                 wanted = reference(truth[a], i, truth[b], j)
                 if wanted is not None:
-                    delta = geometry.inverse(wanted) @ geometry.inverse(found.poses[a][i])
-                    delta = delta @ found.poses[b][j]
-                    turn = np.degrees(geometry.rotation_angle(delta))
-                    rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
+                    rows.append(off(wanted, found.poses[a][i], found.poses[b][j]))
             result[a, b] = np.array(rows).reshape(-1, 2)
     return result
 
@@ -129,9 +132,9 @@ def timed(label: str) -> Iterator[Callable[[int, int], None]]:
     print(f"{label}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
-def tell(title: str, found: Alignment, false: int, off: Errors, folder: Path | None) -> None:
+def tell(title: str, found: Alignment, false: int, pairs: Errors, folder: Path | None) -> None:
     """Publish the errors between sessions, with a note on loops and time."""
-    named = {f"{a} and {b}": each for (a, b), each in off.items() if len(each)}
+    named = {f"{a} and {b}": each for (a, b), each in pairs.items() if len(each)}
     named["all"] = np.concatenate([np.zeros((0, 2)), *named.values()])
     accepted = sum(loop.accepted for loop in found.loops)
     rejected = len(found.loops) - accepted
@@ -144,12 +147,12 @@ def tell(title: str, found: Alignment, false: int, off: Errors, folder: Path | N
     publish(folder, title, Table(COLUMNS, rows, note))
 
 
-def _figures(off: Float64) -> tuple[int | float | None, ...]:
-    if not len(off):
+def _figures(rows: Float64) -> tuple[int | float | None, ...]:
+    if not len(rows):
         return 0, None, None, None, None
-    metres, degrees = off.T
+    metres, degrees = rows.T
     values = (np.median(metres), np.percentile(metres, 90), metres.max(), np.median(degrees))
-    return len(off), *(round(float(value), 2) for value in values)
+    return len(rows), *(round(float(value), 2) for value in values)
 
 
 def main() -> None:
@@ -158,16 +161,13 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--threads", type=int, default=1)
     args = options.parse_args()
-    truth = []
-    for selection in SESSIONS:
-        part = open_sequence(args.data / "keyframes", "keyframes.tum", selection)
-        assert part.poses is not None
-        truth.append(Reposed(part, part.poses))
+    parts = [keyframes(args.data, selection) for selection in SESSIONS]
+    truth = [Reposed(part, poses_of(part)) for part in parts]
     rng = np.random.default_rng(args.seed)
-    sessions = [drifted(recording, rng) for recording in truth]
+    sessions = [drifted(each.source, each.poses, rng) for each in truth]
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
-    false, off = false_loops(truth, found), errors(truth, found)
-    tell("Three sessions of KITTI 00 aligned", found, false, off, args.report)
+    false = false_loops(truth, found)
+    tell("Three sessions of KITTI 00 aligned", found, false, errors(truth, found), args.report)
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from segloc import Config, geometry
-from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
+from segloc.loops import AlignConfig, Alignment, align_sessions
 from segloc.types import Float64
 
 from ..report import reporting
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
-from .align_kitti00 import DRIFT, FALSE_M, PLACE_M, Errors, tell, timed
+from .align_kitti00 import FALSE_M, Errors, drifted, off, pairs_across, tell, timed
 
 
 def errors(truths: list[Float64], found: Alignment) -> Errors:
@@ -29,20 +29,16 @@ def errors(truths: list[Float64], found: Alignment) -> Errors:
     for members in found.components:
         for b in members:
             for a in (k for k in members if k < b):
-                result[a, b] = _errors(truths[a], truths[b], found.poses[a], found.poses[b])
+                rows = [
+                    off(
+                        geometry.inverse(truths[a][i]) @ truths[b][j],
+                        found.poses[a][i],
+                        found.poses[b][j],
+                    )
+                    for i, j in pairs_across(truths[a], truths[b])
+                ]
+                result[a, b] = np.array(rows).reshape(-1, 2)
     return result
-
-
-def _errors(a: Float64, b: Float64, A: Float64, B: Float64) -> Float64:
-    apart = np.linalg.norm(a[:, None, :2, 3] - b[None, :, :2, 3], axis=2)
-    rows = []
-    for j in np.flatnonzero(apart.min(axis=0) < PLACE_M):
-        i = int(apart[:, j].argmin())
-        truth = geometry.inverse(a[i]) @ b[j]
-        delta = geometry.inverse(truth) @ geometry.inverse(A[i]) @ B[j]
-        turn = np.degrees(geometry.rotation_angle(delta))
-        rows.append((float(np.linalg.norm(delta[:3, 3])), turn))
-    return np.array(rows).reshape(-1, 2)
 
 
 def false_loops(truths: list[Float64], found: Alignment) -> int:
@@ -74,13 +70,10 @@ def main() -> None:
         length_m=args.length,
         seed=args.seed,
     )
-    sessions = []
-    for k, drive in enumerate(drives):
-        rng = np.random.default_rng([args.seed, k])
-        frame = geometry.yaw_transform(
-            float(rng.uniform(-np.pi, np.pi)), tuple(rng.uniform(-500, 500, 3).tolist())
-        )
-        sessions.append(Reposed(drive, frame @ DRIFT.odometry(drive.truth, rng)))
+    sessions = [
+        drifted(drive, drive.truth, np.random.default_rng([args.seed, k]))
+        for k, drive in enumerate(drives)
+    ]
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
     truths = [drive.truth for drive in drives]
     title = f"{args.sessions} simulated sessions aligned: {args.scene}"

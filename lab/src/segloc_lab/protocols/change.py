@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Localization, SegmentMap
-from segloc.batch import Evaluation, Tolerance, query_positions
+from segloc.batch import Evaluation, query_positions
 from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError
 
@@ -34,7 +34,7 @@ from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
 from ..evaluation.scenario import QuerySet
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
-from ..report import Cell, Table, entries, keep, mcnemar, publish, resumed, share
+from ..report import Cell, Table, earlier, entries, keep, mcnemar, publish, resumed, share
 from ..simulation import (
     SCENES,
     SENSORS,
@@ -57,11 +57,6 @@ ALONE = "segments alone"
 WAYS = ("all there is", ALONE)
 """Localizers with stems and occupancy, and without both."""
 SPINNING = ("hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128")
-
-
-def ways_of(maps: Mapping[str, SegmentMap]) -> dict[str, MappedPlace]:
-    """Maps of one place by several methods, in each way."""
-    return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
 def mapped_path(world: World, seed: int) -> tuple[int, ...]:
@@ -100,37 +95,24 @@ def query_sets(
     }
 
 
-def evaluations(
-    query_set: QuerySet,
-    descriptors: Mapping[str, Descriptor],
-    places: Mapping[str, MappedPlace],
-    tolerance: Tolerance | None = None,
-) -> dict[tuple[str, str], Evaluation]:
-    """Localize by (method, place); clouds are accumulated and segmented once."""
-    found: dict[tuple[str, str], list[Localization]] = {}
-    for answers in localized(query_set, descriptors, places, (ESTIMATOR,)):
-        for (method, place, _), answer in answers.items():
-            found.setdefault((method, place), []).append(answer)
-    positions, truths, limits = query_set.positions, query_set.truths, tolerance or Tolerance()
-    return {
-        key: Evaluation(positions, results, places[key[1]].trajectory, truths, limits)
-        for key, results in found.items()
-    }
-
-
 def query_results(
     ways: Mapping[str, MappedPlace], query_set: QuerySet, descriptors: Mapping[str, Descriptor]
 ) -> list[dict[str, Any]]:
-    """Return the results of each method in each way as JSON values."""
-    return [
-        {
-            "method": method,
-            "way": way,
-            "right": e.correct[e.within_coverage].tolist(),
-            "false": int(e.false.sum()),
-        }
-        for (method, way), e in evaluations(query_set, descriptors, ways).items()
-    ]
+    """Return the results of each method in each way as JSON values.
+
+    Clouds are accumulated and segmented once.
+    """
+    found: dict[tuple[str, str], list[Localization]] = {}
+    for answers in localized(query_set, descriptors, ways, (ESTIMATOR,)):
+        for (method, way, _), answer in answers.items():
+            found.setdefault((method, way), []).append(answer)
+    rows = []
+    for (method, way), results in found.items():
+        path = ways[way].trajectory
+        e = Evaluation(query_set.positions, results, path, query_set.truths)
+        right, false = e.correct[e.within_coverage].tolist(), int(e.false.sum())
+        rows.append({"method": method, "way": way, "right": right, "false": false})
+    return rows
 
 
 def table(answers: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
@@ -180,30 +162,24 @@ def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> Sp
     return replace(sensor, elevations_deg=sensor.elevations_deg[::every])
 
 
-class Places:
-    """Maps of simulated worlds by several methods, alone or among other worlds of their kind."""
+def mapped(
+    args: argparse.Namespace, name: str, world: World, descriptors: Mapping[str, Descriptor]
+) -> dict[str, MappedPlace]:
+    """Map a world by each method, padded with others of its kind up to ``--pad``; by way."""
+    sensor = sensor_of(args.map_sensor)
 
-    def __init__(self, descriptors: Mapping[str, Descriptor], sensor: Lidar, scans: Path | None):
-        self.descriptors, self.sensor, self.scans = descriptors, sensor, scans
+    def maps_of(world: World, seed: int) -> dict[str, SegmentMap]:
+        return build_maps(kept(mapped_drive(world, seed, sensor), args.kept), descriptors)
 
-    def maps(self, world: World, seed: int) -> dict[str, SegmentMap]:
-        """Return the maps of one world."""
-        drive = kept(mapped_drive(world, seed, self.sensor), self.scans)
-        return build_maps(drive, self.descriptors)
-
-    def mapped(
-        self, name: str, world: World, seed: int, pad: int, others: int
-    ) -> dict[str, MappedPlace]:
-        """Return a world, padded with ``others`` of its kind up to ``pad`` segments, by way."""
-        maps = self.maps(world, seed)
-        if len(maps[next(iter(maps))]) < pad:
-            seeds = range(seed + 1, seed + 1 + others)
-            around = [self.maps(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
-            maps = {
-                m: padded(prior_map, [each[m] for each in around], pad)
-                for m, prior_map in maps.items()
-            }
-        return ways_of(maps)
+    maps = maps_of(world, args.seed)
+    if len(maps[next(iter(maps))]) < args.pad:
+        seeds = range(args.seed + 1, args.seed + 1 + args.others)
+        around = [maps_of(SCENES[name](k, size_m=SIZES_M[name]), k) for k in seeds]
+        maps = {
+            method: padded(prior_map, [each[method] for each in around], args.pad)
+            for method, prior_map in maps.items()
+        }
+    return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
 def arguments() -> argparse.Namespace:
@@ -229,10 +205,9 @@ def arguments() -> argparse.Namespace:
 
 def measure(args: argparse.Namespace) -> None:
     """Query all worlds, and store the results of each."""
-    done = {_set_of(entry) for entry in (entries(args.out) if args.out.exists() else [])}
+    done = {_set_of(entry) for entry in earlier(args.out)}
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
-    places = Places(descriptors, sensor_of(args.map_sensor), args.kept)
     sensor = sensor_of(args.sensor, args.columns, args.beams)
     told = f"{args.sensor}, {args.beams or len(sensor.elevations_deg)} x {args.columns}"
     for label in args.worlds:
@@ -244,7 +219,7 @@ def measure(args: argparse.Namespace) -> None:
         left = [each for each in sets if _set_of(each) not in done]
         if not left:
             continue
-        ways = places.mapped(label, world, args.seed, args.pad, args.others)
+        ways = mapped(args, label, world, descriptors)
         found: dict[str, list[dict[str, Any]]] = {each["clouds"]: [] for each in left}
         for drive in drives(world, args.seed, sensor, conditions).values():
             queries = query_sets(kept(drive, args.kept), args.every, args.accumulated_every)
@@ -263,7 +238,7 @@ def main() -> None:
     args = arguments()
     if not args.add:
         measure(args)
-    report([entry for path in args.add or [args.out] for entry in entries(path)], args.report)
+    report(entries(*(args.add or [args.out])), args.report)
 
 
 if __name__ == "__main__":

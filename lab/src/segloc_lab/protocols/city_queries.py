@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Prior
-from segloc.batch import pose_errors
 from segloc.system.stage_times import StageTimes
 from segloc.tiles import TiledMap
 
 from ..city import opened, queries
+from ..outcomes import outcome
 from ..script import parser
 from ..stages import held_mb, highest_mb, processor_clock
 
@@ -36,7 +36,7 @@ WAYS = (
     f"no prior, {WIDE}",
     f"elsewhere, {WIDE}",
 )
-RADIUS_M, METRES, DEGREES = 200.0, 3.0, 5.0
+RADIUS_M = 200.0
 MEMORY_BYTES = 48_000_000
 """Size of the cache of tiles."""
 
@@ -60,12 +60,8 @@ def query_results(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
         ended = time.process_time()
         again = localizer.locate(query, near=near if has_prior else None)
         spent_again = time.process_time() - ended
-        outcome = "refused"
-        if answer.T_map_sensor is not None:
-            metres, degrees = pose_errors(answer.T_map_sensor[None], truth[None])
-            right = place != "elsewhere" and metres[0] <= METRES and degrees[0] <= DEGREES
-            outcome = "found" if right else "false"
-        entry: dict[str, Any] = {"query": file.stem, "outcome": outcome}
+        found = outcome(answer.T_map_sensor, None if place == "elsewhere" else truth)
+        entry: dict[str, Any] = {"query": file.stem, "outcome": found}
         entry["times"] = dict(answer.times_ms)
         entry |= {"describe_ms": 1e3 * (described - began), "search_ms": 1e3 * (ended - described)}
         entry |= {"again_ms": 1e3 * spent_again, "same": again.inliers == answer.inliers}

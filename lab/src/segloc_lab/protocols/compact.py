@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors, query_clouds
+from segloc.batch import query_clouds
 from segloc.map import CompactConfig, MappingConfig, VoxelCloud, compacted
 from segloc.proposals import Query
 from segloc.types import Float64
 
+from ..outcomes import is_covered, outcome, path_km, pose_error
 from ..report import Cell, Table, publish, reporting, share
-from .real import maps, outcome, queries, sources
+from .real import maps, queries, sources
 
 REPEATS = 5
 SIZES = ("way", "map", "km", "segments", "MB a km", "ms to load a km")
@@ -60,12 +61,6 @@ def made(whole: SegmentMap, mapping: MappingConfig) -> SegmentMap:
     return compacted(moved, mapping.compact)
 
 
-def kilometres(prior_map: SegmentMap) -> float:
-    """Return the length of the trajectory without gaps."""
-    steps = np.linalg.norm(np.diff(prior_map.trajectory[:, :3, 3], axis=0), axis=1)
-    return float(steps[steps < 10.0].sum()) / 1e3
-
-
 def load_ms(path: Path) -> float:
     """Return the minimum processor time of several loads."""
     spent = []
@@ -100,18 +95,14 @@ class Comparison:
         for k, (name, own, truth, query) in enumerate(self._queries):
             for each in own:
                 result = localizers[each].locate(query)
-                found = outcome(result.T_map_sensor, truth)
-                path = localizers[each].prior_map.trajectory
-                near = distances_to_path(truth[None], path)[0] <= COVERAGE_RADIUS_M
                 estimate, shift = result.T_map_sensor, None
+                found = outcome(estimate, truth)
+                near = is_covered(truth, localizers[each].prior_map.trajectory)
                 if estimate is not None and first:
                     self._truly[k, each] = estimate
                 elif estimate is not None and found == "found" and (k, each) in self._truly:
-                    metres, _ = pose_errors(estimate[None], self._truly[k, each][None])
-                    shift = float(metres[0])
-                records.append(
-                    {"queries": name, "near": bool(near), "outcome": found, "shift_m": shift}
-                )
+                    shift = pose_error(estimate, self._truly[k, each])[0]
+                records.append({"queries": name, "near": near, "outcome": found, "shift_m": shift})
         return records
 
 
@@ -144,7 +135,7 @@ def main() -> None:
     for way in dict.fromkeys(["whole", *args.ways]):
         places = {name: made(place, WAYS[way]) for name, place in comparison.whole.items()}
         for name, place in places.items():
-            path, km = args.out / f"{name}, {way}.segmap", kilometres(place)
+            path, km = args.out / f"{name}, {way}.segmap", path_km(place.trajectory)
             place.save(path)
             megabytes = round(path.stat().st_size / 1e6 / km, 2)
             size = len(place), megabytes, round(load_ms(path) / km)

@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
-from segloc.batch import distances_to_path, pose_errors, query_clouds
+from segloc.batch import distances_to_path, query_clouds
 from segloc.frontend import Accumulator
 from segloc.proposals import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 from segloc.types import Pose
 
+from ..outcomes import pose_error
 from ..padding import mirrored
 from ..recordings import beside, has_room, kept
 from ..report import Table, publish, reporting, share, wilson
@@ -58,10 +59,7 @@ class Tally:
         self.seconds += seconds
         if not answer.localized:
             return
-        metres = degrees = np.inf
-        if T_map_sensor is not None:
-            errors = pose_errors(answer.T_map_sensor[None], T_map_sensor[None])
-            metres, degrees = float(errors[0][0]), float(errors[1][0])
+        metres, degrees = pose_error(answer.T_map_sensor, T_map_sensor)
         self.found += metres < RIGHT_M and degrees < RIGHT_DEG
         self.near += metres < NEAR_M and degrees < NEAR_DEG
         self.false += metres >= NEAR_M or degrees >= NEAR_DEG
@@ -78,7 +76,7 @@ class Tally:
 
 def methods(prior_map: SegmentMap) -> dict[str, Locate]:
     """Methods compared: segments and clouds, the same with stems, and stems alone."""
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     without = config.stems.model_copy(update={"enabled": False})
     alone = LandmarkLocalizer(stem_map(prior_map))
     return {
@@ -114,7 +112,7 @@ class Forests:
     def map(self, seed: int) -> SegmentMap:
         """Return the trajectory through one forest."""
         drive = mapped_drive(self.world(seed), seed, sensor_of(self.map_sensor))
-        config = Config.preset("profile").model_copy(update={"threads": 1})
+        config = Config(threads=1)
         return build_map(kept(drive, self.scans), config)
 
     def single(self, seed: int, every: int) -> Iterator[tuple[LocalCloud, Pose]]:

@@ -15,7 +15,6 @@ kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -30,16 +29,9 @@ from segloc.datasets import Selection
 from segloc.live import Replay, Status, play, pose_errors
 from segloc.types import Derived, Float64, Int64, Recording
 
-from ..report import Cell, Table, entries, keep, publish, resumed, share
-from ..simulation import (
-    PLATFORMS,
-    SCENES,
-    SENSORS,
-    Conditions,
-    OdometryNoise,
-    SimulatedSequence,
-    simulate_sessions,
-)
+from ..recordings import Cached
+from ..report import Cell, Table, earlier, keep, publish, resumed, share
+from ..simulation import PLATFORMS, SCENES, SENSORS, Conditions, OdometryNoise, simulate_sessions
 
 BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
 TURN_DEG = (40.0, 180.0)
@@ -132,23 +124,6 @@ class Carried(Derived[Recording]):
         return Scan(geometry.transform(geometry.inverse(self.turns[i]), points))
 
 
-class Drive(Derived[SimulatedSequence]):
-    """A drive whose scans are cast once."""
-
-    poses: Float64
-    _scans: dict[int, Scan]
-
-    def __init__(self, drive: SimulatedSequence) -> None:
-        super().__init__(drive)
-        object.__setattr__(self, "poses", drive.truth)
-        object.__setattr__(self, "_scans", {})
-
-    def scan(self, i: int) -> Scan:
-        if i not in self._scans:
-            self._scans[i] = Scan(self.source.scan(i).points)
-        return self._scans[i]
-
-
 class World:
     """A map, and a drive with kidnapped robots.
 
@@ -173,8 +148,9 @@ class World:
         ends = mapped.indices[[int((1.0 - MAPPED_SHARE) * len(mapped)), -1]].tolist()
         config = Config(threads=1)
         prior_map = build_map(mapped.select(Selection((tuple(ends),))), config)
-        self.localizer, self.drive = Localizer(prior_map, config), Drive(driven)
-        self._beside = distances_to_path(self.drive.poses, prior_map.trajectory)
+        self.localizer, self.drive = Localizer(prior_map, config), Cached(driven)
+        self.truths = driven.truth
+        self._beside = distances_to_path(self.truths, prior_map.trajectory)
         self._inside = inside = self._beside <= COVERAGE_RADIUS_M
         self.known = np.array(
             [k for k in np.flatnonzero(inside) if inside[max(0, k - 10) : k].all()], dtype=np.int64
@@ -187,13 +163,13 @@ class World:
         taken, put, way = self._places(way, rng)
         degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
         carried = self._carried(taken, put, np.radians(degrees), rng)
-        truths = self.drive.poses[carried.positions] @ carried.turns
+        truths = self.truths[carried.positions] @ carried.turns
         played = play(self.localizer, carried)
         return self._judged(number, way, played, carried, truths)
 
     def _places(self, way: str, rng: np.random.Generator) -> tuple[int, int, str]:
         """Return where a robot is taken from and put to; another place if there is none."""
-        spacing, truths = self.kind.spacing_m, self.drive.poses
+        spacing, truths = self.kind.spacing_m, self.truths
         before = int(BEFORE_M / spacing)
         inside, known = self._inside, self.known
         taken = int(rng.choice(known[known >= before] if (known >= before).any() else known))
@@ -219,7 +195,7 @@ class World:
 
     def _carried(self, taken: int, put: int, turn: float, rng: np.random.Generator) -> Carried:
         """Return the scans up to one place and from another on."""
-        spacing, truths = self.kind.spacing_m, self.drive.poses
+        spacing, truths = self.kind.spacing_m, self.truths
         first = np.arange(max(0, taken - int(BEFORE_M / spacing)), taken + 1)
         second = np.arange(put, min(put + int(AFTER_M / spacing), len(truths)))
         turns = np.tile(np.eye(4), (len(first) + len(second), 1, 1))
@@ -266,9 +242,6 @@ class World:
             spacing * int(false.sum()),
             spacing * int((carried_on & off).sum()),
         )
-
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 COLUMNS = (
@@ -330,8 +303,8 @@ def report(found: list[Trial], folder: Path | None) -> None:
 
 def read(paths: Iterable[Path]) -> list[Trial]:
     """Return the trials of earlier runs, each once."""
-    kept = [entry for path in paths if path.exists() for entry in entries(path)]
-    found = {(t.seed, t.number): t for t in (Trial(**entry) for entry in kept)}
+    trials = (Trial(**entry) for path in paths for entry in earlier(path))
+    found = {(t.seed, t.number): t for t in trials}
     return [found[key] for key in sorted(found)]
 
 

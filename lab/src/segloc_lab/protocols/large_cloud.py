@@ -23,13 +23,13 @@ import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.io import write_scan
-from segloc.types import Float64, Pose
+from segloc.types import Pose
 
 from ..calibration.worlds import LENGTH_M, simulated
+from ..outcomes import outcome
+from ..recordings import posed
 from ..report import Table, publish
 from ..script import parser
-from ..simulation import SimulatedSequence
-from .real import outcome
 
 APART_M, A_ROW = 300.0, 8
 """Distance between the origins of neighbouring towns [m], and the towns in a row."""
@@ -59,12 +59,6 @@ COLUMNS = (
 )
 
 
-def posed(drive: SimulatedSequence) -> Float64:
-    """All scans of a drive in the frame of its poses, (N, 3)."""
-    scans = zip(drive.poses, (drive.scan(i).points for i in range(len(drive))), strict=True)
-    return np.concatenate([geometry.transform(T, points) for T, points in scans])
-
-
 def placed(k: int) -> Pose:
     """The pose of a town in the frame of all."""
     return geometry.yaw_transform(0.0, (APART_M * (k % A_ROW), APART_M * (k // A_ROW), 0.0))
@@ -78,7 +72,7 @@ def write_tile(folder: Path, k: int, seed: int) -> None:
     town, T = simulated("town", seed), placed(k)
     later = town.queries["hdl64e"]
     i = len(later) // 2
-    points = geometry.transform(T, posed(town.mapped)).astype(np.float32)
+    points = geometry.transform(T, np.concatenate(list(posed(town.mapped)))).astype(np.float32)
     write_scan(tile, points)
     scan, truth = later.scan(i).points, T @ later.truth[i]
     np.savez(query, points=scan, truth=truth, mapped=len(points))
@@ -124,12 +118,16 @@ def measure(folder: Path, towns: int, first_seed: int) -> dict[str, Any]:
     for k in range(towns):
         write_tile(tiles, k, first_seed + 2 * k)
     path = folder / f"{towns}-towns.segmap"
-    found = build(tiles, path)
+    spent = build(tiles, path)
     prior_map = SegmentMap.load(path)
-    found |= {"towns": towns, "viewpoints": len(prior_map.trajectory)}
-    found |= {"area_m2": area_m2(prior_map)}
-    found |= {"map_bytes": path.stat().st_size}
-    return found | localize(tiles, prior_map, towns)
+    return {
+        **spent,
+        "towns": towns,
+        "viewpoints": len(prior_map.trajectory),
+        "area_m2": area_m2(prior_map),
+        "map_bytes": path.stat().st_size,
+        **localize(tiles, prior_map, towns),
+    }
 
 
 def table(found: dict[str, Any]) -> Table:

@@ -20,7 +20,6 @@ at once; ``--add`` adds up.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, pose_errors
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.pipeline import Search
 from segloc.proposals import Query
@@ -38,8 +37,9 @@ from segloc.system.stage_times import StageTimes
 from segloc.types import Float64, Int64, Recording
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
+from ..outcomes import pose_error
 from ..recordings import Kept, kept
-from ..report import Cell, Table, entries, keep, publish, resumed
+from ..report import Cell, Table, earlier, entries, keep, publish, resumed
 from ..simulation import (
     SCENES,
     SENSORS,
@@ -131,20 +131,12 @@ def followed(core: LiveCore, scan: Scan, stamp: float, T_odom_sensor: Float64) -
     return Step(core.state, scan_ms, tuple(queries))
 
 
-def error(state: State, truth: Float64) -> tuple[float, float]:
-    """Return the error of a pose [m, deg]; infinite without one."""
-    if state.T_map_base is None:
-        return float("inf"), float("inf")
-    metres, degrees = pose_errors(state.T_map_base[None], truth[None])
-    return float(metres[0]), float(degrees[0])
-
-
 def within_three_sigma(state: State, truth: Float64) -> bool:
     """Return whether the position error is at most three standard deviations."""
     if state.covariance is None or state.T_map_base is None:
         return False
     sigma = float(np.sqrt(np.linalg.eigvalsh(state.covariance[3:, 3:])[-1]))
-    return error(state, truth)[0] <= 3.0 * sigma
+    return pose_error(state.T_map_base, truth)[0] <= 3.0 * sigma
 
 
 def right(metres: float, degrees: float, off_m: float) -> bool:
@@ -157,7 +149,9 @@ def stream_record(stream: Stream) -> dict[str, Any]:
     steps = list(_along(stream, range(len(stream.odometry))))
     covered = _covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
-    errors = [error(s.state, T) for s, T in zip(steps, stream.truths, strict=True)]
+    errors = [
+        pose_error(step.state.T_map_base, T) for step, T in zip(steps, stream.truths, strict=True)
+    ]
     off = np.array(
         [
             step.state.localized and not right(*each, stream.off_m)
@@ -229,7 +223,8 @@ def alone(
         _add_alone(core, odometry, Scan(recording.scan(i).points), k / RATE_HZ, times)
         sure = core.state.status is Status.LOCALIZED
         localized += sure
-        false_m += SLOW_M * (sure and not right(*error(core.state, recording.truth[i]), OFF_M))
+        off = pose_error(core.state.T_map_base, recording.truth[i])
+        false_m += SLOW_M * (sure and not right(*off, OFF_M))
         if k * TENTHS // len(positions) > (k - 1) * TENTHS // len(positions):
             yield {
                 "minutes": minutes,
@@ -287,9 +282,6 @@ def there_and_back(count: int, total: int) -> Int64:
     return np.resize(lap, total).astype(np.int64)
 
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
 COLUMNS = (
     "stream",
     "scans",
@@ -323,7 +315,8 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
     rows: list[tuple[Cell, ...]] = []
     for name in sorted({r["stream"] for r in records}):
         here = [r for r in records if r["stream"] == name]
-        total = {key: sum(r[key] for r in here) for key in _SUMS}
+        numbers = [key for key, value in here[0].items() if isinstance(value, int | float)]
+        total = {key: sum(r[key] for r in here) for key in numbers}
         fixes = [np.inf if fix is None else fix for r in here for fix in r["first_fix"]]
         scan, query = (_joined(here, key) for key in ("scan_ms", "query_ms"))
         share = total["localized"] / max(1, total["covered"])
@@ -345,17 +338,6 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
             )
         )
     return rows
-
-
-_SUMS = (
-    "scans",
-    "covered",
-    "localized",
-    "false_m",
-    "degraded_false_m",
-    "degraded",
-    "degraded_within",
-)
 
 
 def _joined(records: list[dict[str, Any]], key: str) -> Float64:
@@ -422,11 +404,6 @@ def samples_of(records: list[dict[str, Any]]) -> dict[str, list[Sample]]:
     return samples
 
 
-def read(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """Return the records of earlier runs."""
-    return [entry for path in paths for entry in entries(path)]
-
-
 def main() -> None:
     options = resumed(__doc__, "streams.jsonl")
     options.add_argument("--sensor", choices=("hdl64e", "os1-64", "vlp16"), default="vlp16")
@@ -439,15 +416,13 @@ def main() -> None:
     options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
     args = options.parse_args()
     if args.add:
-        report(read(args.add), args.report)
+        report(entries(*args.add), args.report)
         return
     ends = time.monotonic() + args.seconds
-    earlier = read([args.out]) if args.out.exists() else []
-    done = {(r.get("stream"), r.get("seed")) for r in earlier}
+    done = {(r.get("stream"), r.get("seed")) for r in earlier(args.out)}
     if args.minutes:
         where = args.scans or Path("scans")
-        run = alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin)
-        for sample in run:
+        for sample in alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin):
             keep(args.out, sample)
     elif args.kitti:
         keep(args.out, stream_record(kitti00_stream(args.kitti)))
@@ -456,7 +431,7 @@ def main() -> None:
             if (f"town, {args.sensor}", seed) in done or time.monotonic() > ends:
                 continue
             keep(args.out, stream_record(town_stream(args.sensor, seed, args.length, args.scans)))
-    records = read([args.out])
+    records = entries(args.out)
     report(records, args.report)
     for sensor, samples in samples_of(records).items():
         if growth(samples) >= MAX_GROWTH:

@@ -175,7 +175,6 @@ def _size(path: Path) -> int:
 
 
 def main() -> None:
-    """Run the command."""
     options = reporting(__doc__)
     options.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
     options.add_argument("--fuzz", type=int, default=0, metavar="BYTES")

@@ -25,16 +25,18 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
+from segloc.batch import query_positions
 from segloc.io import clouds
 from segloc.pipeline import answer
 from segloc.proposals import Query
-from segloc.types import Float64, MemoryRecording, Recording
+from segloc.types import Float64, MemoryRecording
 
 from .. import kitti00
 from ..calibration.worlds import EVERY_M, KINDS, LATER, simulated
+from ..outcomes import is_covered, outcome
 from ..padding import beside_its_mirror, mirrored
-from ..report import Table, entries, keep, publish, reporting, share, wilson
+from ..recordings import posed
+from ..report import Table, earlier, keep, publish, reporting, share, wilson
 from ..simulation import SENSORS, Conditions, SimulatedSequence, handheld, simulate_sessions
 from ..simulation.worlds.offices import building
 from . import large_cloud, real
@@ -80,21 +82,10 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Single scans without poses; ``maps`` names the places that hold them.
+class Asked(real.Queries):
+    """Single scans without poses, and the group of places that they show."""
 
-    Attributes
-    ----------
-    truths : (N, 4, 4) float64 or None
-        True T_map_sensor.
-    """
-
-    name: str
     group: str
-    recording: Recording
-    positions: Iterable[int]
-    truths: Float64 | None
-    maps: tuple[str, ...]
 
 
 def real_places(data: Path, work: Path) -> Iterator[Place]:
@@ -102,7 +93,7 @@ def real_places(data: Path, work: Path) -> Iterator[Place]:
     for name, source in real.sources(data).items():
         if name.startswith("kitti") and name != KITTI:
             continue
-        poses, cloud = kitti00.poses_of(source), partial(_posed, source)
+        poses, cloud = kitti00.poses_of(source), partial(posed, source)
         scans = partial(build_map, source)
         group = name.split(",")[0]
         yield Place(name, group, poses, scans, cloud)
@@ -115,12 +106,6 @@ def real_places(data: Path, work: Path) -> Iterator[Place]:
             source = MemoryRecording([source.scan(i) for i in range(len(source))], moved)
             laz = partial(_as_laz, cloud, work / "utm")
             yield Place(f"{name}, LAZ in {UTM_TEXT}", group, moved, partial(build_map, source), laz)
-
-
-def _posed(recording: Recording) -> Iterator[Float64]:
-    """The points of each scan, (N, 3), in the frame of the recording's poses."""
-    for i, T in enumerate(kitti00.poses_of(recording)):
-        yield geometry.transform(T, recording.scan(i).points)
 
 
 def _thinned(cloud: Callable[[], Iterable[Float64]], spacing_m: float) -> list[Float64]:
@@ -149,15 +134,15 @@ def real_queries(data: Path) -> Iterator[Asked]:
     for each in real.queries(data, STEP):
         if not each.name.endswith("single") and each.name != "starts of other drives":
             continue
-        group, maps, truths = each.name.split()[0].rstrip(","), each.maps, each.truths
+        group, maps, truths = each.place, each.maps, each.truths
         if each.name == "kitti, single":
             maps = (KITTI, f"{KITTI}, {SPARSE_M} m")
-        yield Asked(each.name, group, each.recording, each.positions, truths, maps)
+        yield Asked(each.name, each.recording, each.positions, truths, maps, group)
         if group == "corridor" and truths is not None:
             moved = truths.copy()
             moved[:, :3, 3] += UTM
             name, maps = f"{each.name}, {UTM_TEXT}", (f"{maps[0]}, LAZ in {UTM_TEXT}",)
-            yield Asked(name, group, each.recording, each.positions, moved, maps)
+            yield Asked(name, each.recording, each.positions, moved, maps, group)
 
 
 def drives(kind: str, seed: int) -> tuple[list[SimulatedSequence], list[SimulatedSequence]]:
@@ -184,8 +169,8 @@ def simulated_place(kind: str, seed: int) -> tuple[Place, Asked]:
                 yield Scan(drive.scan(i).points, T_odom_sensor=drive.poses[i])
 
     def cloud() -> Iterator[Float64]:
-        for T, scan in zip(poses, scans(), strict=True):
-            yield geometry.transform(T, scan.points)
+        for drive in mapped:
+            yield from posed(drive)
 
     name = f"{kind} {seed}"
     alike = kind in KINDS and KINDS[kind].alike
@@ -193,7 +178,7 @@ def simulated_place(kind: str, seed: int) -> tuple[Place, Asked]:
     at = [(d, int(i)) for d in later for i in query_positions(d.truth, EVERY_M, 10.0)]
     truths = np.stack([drive.truth[i] for drive, i in at])
     singles = MemoryRecording([Scan(drive.scan(i).points) for drive, i in at])
-    return made, Asked(name, name, singles, range(len(at)), truths, (name,))
+    return made, Asked(name, singles, np.arange(len(at)), truths, (name,), name)
 
 
 class Study:
@@ -203,13 +188,9 @@ class Study:
         self.work, self._until = work, time.monotonic() + limit_s
         self._config = Config(threads=1)
         self._described: dict[str, list[tuple[Query, float]]] = {}
-        self.built = self._kept("built.jsonl")
-        self.answers = self._kept("answers.jsonl")
+        self.built = earlier(work / "built.jsonl")
+        self.answers = earlier(work / "answers.jsonl")
         (work / "maps").mkdir(parents=True, exist_ok=True)
-
-    def _kept(self, name: str) -> list[dict[str, Any]]:
-        path = self.work / name
-        return entries(path) if path.exists() else []
 
     @property
     def is_over(self) -> bool:
@@ -262,9 +243,8 @@ class Study:
             start = time.process_time()
             result = answer(query, localizer.search(query), {})
             rows["ms"].append(round(spent + 1e3 * (time.process_time() - start), 1))
-            rows["outcome"].append(real.outcome(result.T_map_sensor, truth))
-            near = truth is not None and distances_to_path(truth[None], place.poses)[0]
-            rows["covered"].append(truth is not None and bool(near <= COVERAGE_RADIUS_M))
+            rows["outcome"].append(outcome(result.T_map_sensor, truth))
+            rows["covered"].append(truth is not None and is_covered(truth, place.poses))
             rows["fit"].append([round(result.confidence, 4), result.inliers, result.overlap])
         return found | {"own": own, "kin": place.group == asked.group, "alike": place.alike} | rows
 
@@ -371,7 +351,7 @@ def mirrors_table(study: Study) -> Table:
             next(e for e in study.answers if _same(e, both) and e["made"] == made)
             for made in (CLOUD, MIRROR)
         )
-        at = [k for k, outcome in enumerate(mirror["outcome"]) if outcome == "false"]
+        at = [k for k, each in enumerate(mirror["outcome"]) if each == "false"]
         overlaps = ([each["fit"][k][2] for k in at] for each in (mirror, own))
         cells = (f"{np.median(o):.2f}" if o else "-" for o in overlaps)
         counts = own["outcome"].count("found"), *map(both["outcome"].count, ("found", "false"))

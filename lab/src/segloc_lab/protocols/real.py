@@ -11,36 +11,29 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors, query_clouds
+from segloc.batch import query_clouds
 from segloc.datasets import NO_POSES, open_sequence
 from segloc.pipeline import answer
-from segloc.types import Float64, Int64, Pose, Recording
+from segloc.types import Float64, Int64, Recording
 
 from .. import kitti00
+from ..outcomes import is_covered, outcome
 from ..padding import mirrored
 from ..recordings import FewerBeams, Files, Turned
-from ..report import Table, publish, reporting, share, show, wilson
+from ..report import Table, publish, reporting, share, wilson
 
 OUT, BACK = "0:74", "82:104"
 """Scans of the corridor that are mapped, and those on the way back."""
-TOLERANCE = Tolerance()
-COLUMNS = (
-    "queries",
-    "found within map coverage",
-    "false",
-    "elsewhere",
-    "false elsewhere",
-    "ms",
-)
+COLUMNS = ("queries", "found within map coverage", "false", "elsewhere", "false elsewhere", "ms")
 LAB = ("0618", "0622a", "0622b", "0622c")
 
 
@@ -64,6 +57,11 @@ class Queries:
     positions: Int64
     truths: Float64 | None
     maps: tuple[str, ...]
+
+    @property
+    def place(self) -> str:
+        """Name of the place."""
+        return self.name.split()[0].rstrip(",")
 
 
 def sources(data: Path) -> dict[str, Recording]:
@@ -200,7 +198,7 @@ class Judge:
                 spent = common + 1e3 * (time.process_time() - start)
                 best = search.posterior.best
                 own = name in chosen.maps
-                near = own and truth is not None and self._covered(name, truth)
+                near = own and truth is not None and is_covered(truth, self._paths[name])
                 self.records.append(
                     {
                         "queries": chosen.name,
@@ -219,26 +217,11 @@ class Judge:
                 )
 
     def _places(self, chosen: Queries) -> Iterator[tuple[str, Localizer]]:
-        place = chosen.name.split()[0].rstrip(",")
         for name, localizer in self._own.items():
-            if name in chosen.maps or (self._foreign and not name.startswith(place)):
+            if name in chosen.maps or (self._foreign and not name.startswith(chosen.place)):
                 yield name, localizer
         for name in chosen.maps[:1] if self._foreign else ():
             yield f"{name}, mirrored", self._mirrored(name)
-
-    def _covered(self, name: str, truth: Pose) -> bool:
-        return bool(distances_to_path(truth[None], self._paths[name])[0] <= COVERAGE_RADIUS_M)
-
-
-def outcome(estimate: Pose | None, truth: Pose | None) -> str:
-    """Classify an estimate as found, false, or rejected; without a truth any is false."""
-    if estimate is None:
-        return "refused"
-    if truth is None:
-        return "false"
-    metres, degrees = pose_errors(estimate[None], truth[None])
-    right = metres[0] <= TOLERANCE.metres and degrees[0] <= TOLERANCE.degrees
-    return "found" if right else "false"
 
 
 def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
@@ -257,8 +240,8 @@ def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
 
 
 def report(records: list[dict[str, Any]]) -> None:
-    """Return the table, and the false results."""
-    show(COLUMNS, rows(records))
+    """Print the table, and the false results."""
+    publish(None, "", Table(COLUMNS, rows(records)))
     for r in records:
         if r["outcome"] == "false":
             print(json.dumps(r))
@@ -291,8 +274,7 @@ def main() -> None:
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     mapped = sources(args.data)
     paths = {name: kitti00.poses_of(source) for name, source in mapped.items()}
-    build = partial(maps, mapped, config)
-    judge = Judge(_kept(build, args.maps), paths, config, not args.own)
+    judge = Judge(_kept(mapped, config, args.maps), paths, config, not args.own)
     for chosen in queries(args.data, args.step):
         if chosen.name.startswith(args.only):
             judge.run(chosen)
@@ -305,17 +287,18 @@ def main() -> None:
     publish(args.report, "Real recordings in their own and in foreign maps", table)
 
 
-def _kept(build: Callable[[], dict[str, SegmentMap]], folder: Path | None) -> dict[str, SegmentMap]:
+def _kept(
+    mapped: dict[str, Recording], config: Config, folder: Path | None
+) -> dict[str, SegmentMap]:
     """The maps, built once where a folder is given."""
-    if folder is None:
-        return build()
-    paths = {path.stem: path for path in sorted(folder.glob("*.segmap"))}
+    paths = sorted(folder.glob("*.segmap")) if folder else []
     if paths:
-        return {name: SegmentMap.load(path) for name, path in paths.items()}
-    folder.mkdir(parents=True, exist_ok=True)
-    built = build()
-    for name, each in built.items():
-        each.save(folder / f"{name}.segmap")
+        return {path.stem: SegmentMap.load(path) for path in paths}
+    built = maps(mapped, config)
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, each in built.items():
+            each.save(folder / f"{name}.segmap")
     return built
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from segloc.system.stage_times import StageTimes
 from segloc.types import Pose
 
 from ..calibration.worlds import first_half
+from ..outcomes import pose_error
 from ..recordings import kept
 from ..report import Cell, Table, publish, reporting, row, share
 from ..simulation import (
@@ -159,51 +161,45 @@ def _where(drive: SimulatedSequence, i: int) -> str:
     return "junction" if nearest < JUNCTION_M else "stretch" if nearest > BARE_M else "between"
 
 
-def within_a_second(drive: SimulatedSequence, noisy: bool = True) -> SimulatedSequence:
-    """Return the scans with odometry of about a second."""
-    return drive.with_odometry() if noisy and len(drive) > 1 else drive
-
-
 def tilt_deg(T: np.ndarray) -> float:
     """Return the angle between the sensor's z axis and the vertical."""
     return float(np.degrees(geometry.rotation_angle(T @ np.linalg.inv(geometry.levelled(T)))))
-
-
-def _storeys(differ: float) -> Make:
-    return lambda seed: building(seed, storeys=STOREYS, differ=differ)
 
 
 def _divided(seed: int) -> World:
     return building(seed, storeys=STOREYS, own_rooms=True)
 
 
-def _bare(seed: int) -> World:
-    return warehouse(seed, repetitive=True)
-
-
-_OS0 = Side("os0-128", "wheeled")
+_OS0, _CAR = Side("os0-128", "wheeled"), Side("hdl64e", "car")
 _HANDHELD, _QUADRUPED = Side("os0-128", "handheld"), Side("os0-128", "quadruped")
-_CAR = Side("hdl64e", "car")
+_MID360 = Side("mid360", "handheld", 10)
 _ALL = tuple(range(STOREYS))
 
 
-def _outdoors(queried: Side, length_m: float = 200.0) -> dict[str, Scenario]:
+def _outdoors(queried: Side) -> dict[str, Scenario]:
     scenes = {"town": (41, 44), "park": (42,), "industrial": (43,), "forest": (45,)}
     return {
-        scene: Scenario(scene, SCENES[scene], _CAR, queried, seeds=seeds, length_m=length_m)
+        scene: Scenario(scene, SCENES[scene], _CAR, queried, seeds=seeds)
         for scene, seeds in scenes.items()
     }
 
 
-def _floors(differ: float, expected: str, queried: Side = _QUADRUPED) -> Scenario:
-    name = f"building-{differ:g}"
-    seeds = (21, 22) if differ > 0.3 else (21,)
-    five = {"storeys": _ALL, "query_storeys": _ALL, "seeds": seeds, "length_m": 140.0}
-    return Scenario(name, _storeys(differ), _OS0, queried, expected, **five)  # type: ignore[arg-type]
+def _floors(differ: float, expected: str = "found", queried: Side = _QUADRUPED) -> Scenario:
+    return Scenario(
+        f"building-{differ:g}",
+        partial(building, storeys=STOREYS, differ=differ),
+        _OS0,
+        queried,
+        expected,
+        (21, 22) if differ > 0.3 else (21,),
+        storeys=_ALL,
+        query_storeys=_ALL,
+        length_m=140.0,
+    )
 
 
 def _own_rooms(queried: Side = _QUADRUPED) -> Scenario:
-    return replace(_floors(0.5, "found", queried), map_name="building-rooms", world=_divided)
+    return replace(_floors(0.5, queried=queried), map_name="building-rooms", world=_divided)
 
 
 def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
@@ -211,14 +207,6 @@ def _partly(five: Scenario, name: str, mapped: tuple[int, ...]) -> Scenario:
     others = tuple(storey for storey in _ALL if storey not in mapped)
     name = five.map_name.replace("building", name)
     return replace(five, expected="refused", map_name=name, storeys=mapped, query_storeys=others)
-
-
-def _one_floor(five: Scenario) -> Scenario:
-    return _partly(five, "storey", (0,))
-
-
-def _four_floors(five: Scenario) -> Scenario:
-    return _partly(five, "four", (0, 1, 3, 4))
 
 
 def _half_of_each(five: Scenario) -> Scenario:
@@ -230,29 +218,26 @@ def _half_of_each(five: Scenario) -> Scenario:
 def scenarios() -> dict[str, Scenario]:
     """Return all scenarios; a line of the table is the name before the colon."""
     halls, rooms, pits = SCENES["warehouse"], SCENES["offices"], SCENES["mine"]
+    one, four = ("storey", (0,)), ("four", (0, 1, 3, 4))
     found = {
         "halls, handheld OS0-128": Scenario("halls", halls, _OS0, _HANDHELD),
-        "halls, handheld Mid-360, 1 s": Scenario(
-            "halls", halls, _OS0, Side("mid360", "handheld", 10)
+        "halls, handheld Mid-360, 1 s": Scenario("halls", halls, _OS0, _MID360),
+        "bare halls, handheld OS0-128": Scenario(
+            "bare", partial(warehouse, repetitive=True), _OS0, _HANDHELD
         ),
-        "bare halls, handheld OS0-128": Scenario("bare", _bare, _OS0, _HANDHELD),
         "five storeys with rooms of their own": _own_rooms(),
-        "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(
-            Side("mid360", "handheld", 10)
-        ),
-        "one storey, queried on others: rooms of their own": _one_floor(_own_rooms()),
-        "four storeys, queried on the fifth: rooms of their own": _four_floors(_own_rooms()),
+        "five storeys with rooms of their own, handheld Mid-360, 1 s": _own_rooms(_MID360),
+        "one storey, queried on others: rooms of their own": _partly(_own_rooms(), *one),
+        "four storeys, queried on the fifth: rooms of their own": _partly(_own_rooms(), *four),
         "half of five storeys: rooms of their own": _half_of_each(_own_rooms()),
-        "five storeys that differ": _floors(0.5, "found"),
-        "five storeys that differ, handheld Mid-360, 1 s": _floors(
-            0.5, "found", Side("mid360", "handheld", 10)
-        ),
-        "five storeys that differ a little": _floors(0.15, "found"),
+        "five storeys that differ": _floors(0.5),
+        "five storeys that differ, handheld Mid-360, 1 s": _floors(0.5, queried=_MID360),
+        "five storeys that differ a little": _floors(0.15),
         "five equal storeys": _floors(0.0, "ambiguous"),
-        "one storey, queried on others: differ": _one_floor(_floors(0.5, "found")),
-        "one storey, queried on others: differ a little": _one_floor(_floors(0.15, "found")),
-        "four storeys, queried on the fifth: differ": _four_floors(_floors(0.5, "found")),
-        "four storeys, queried on the fifth: differ a little": _four_floors(_floors(0.15, "found")),
+        "one storey, queried on others: differ": _partly(_floors(0.5), *one),
+        "one storey, queried on others: differ a little": _partly(_floors(0.15), *one),
+        "four storeys, queried on the fifth: differ": _partly(_floors(0.5), *four),
+        "four storeys, queried on the fifth: differ a little": _partly(_floors(0.15), *four),
         "mine, quadruped OS0-128": Scenario("mine", pits, _OS0, _QUADRUPED, "any"),
         "low ceilings: OS0-128 in a VLP-16 map": Scenario(
             "low", rooms, Side("vlp16", "wheeled"), _HANDHELD
@@ -267,9 +252,10 @@ def scenarios() -> dict[str, Scenario]:
     others = {
         "Mid-360, 1 s": Side("mid360", "wheeled", 10),
         "Avia, 1 s": Side("avia", "wheeled", 10),
+        "VLP-16": Side("vlp16", "wheeled"),
+        "OS1-64": Side("os1-64", "wheeled"),
+        "drone at 20 m, OS0-128": Side("os0-128", "drone at 20 m"),
     }
-    others |= {"VLP-16": Side("vlp16", "wheeled"), "OS1-64": Side("os1-64", "wheeled")}
-    others["drone at 20 m, OS0-128"] = Side("os0-128", "drone at 20 m")
     for name, side in others.items():
         found |= {f"{name}: {scene}": each for scene, each in _outdoors(side).items()}
     return found
@@ -287,7 +273,7 @@ def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
     path = work / "maps" / f"{scenario.map_name}-{seed}.segmap"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        config = Config().model_copy(update={"threads": 1})
+        config = Config(threads=1)
         first, *others = (build_map(drive, config) for drive in scenario.map_drives(seed))
         for other in others:
             first = first.merge(other)
@@ -308,15 +294,13 @@ def cloud_of(drive: SimulatedSequence, work: Path) -> list[Scan]:
     scans = [cast.scan(i) for i in range(len(drive))]
     if len(scans) == 1:
         return [Scan(scans[0].points)]
-    poses = within_a_second(drive).poses
+    poses = drive.with_odometry().poses
     return [Scan(s.points, T_odom_sensor=T) for s, T in zip(scans, poses, strict=True)]
 
 
 def errors(T: Pose, truth: Pose) -> tuple[float, float, float]:
     """Return errors in metres, degrees, and metres of height."""
-    delta = geometry.inverse(truth) @ T
-    angle = float(np.degrees(geometry.rotation_angle(delta)))
-    return float(np.linalg.norm(delta[:3, 3])), angle, float(T[2, 3] - truth[2, 3])
+    return *pose_error(T, truth), float(T[2, 3] - truth[2, 3])
 
 
 def is_right(T: Pose, truth: Pose) -> bool:

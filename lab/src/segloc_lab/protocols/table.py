@@ -35,13 +35,8 @@ def _spread(values: dict[str, float | None]) -> str:
     return f"{values['median']:.2f} / {values['p95']:.2f}"
 
 
-def _parts(run: Path) -> tuple[str, str]:
-    protocol, _, method = run.name.partition("-")
-    return protocol, method
-
-
 def _place(run: Path) -> tuple[int, int]:
-    protocol, method = _parts(run)
+    protocol, _, method = run.name.partition("-")
     return PROTOCOLS.index(protocol), METHODS[::-1].index(method)
 
 

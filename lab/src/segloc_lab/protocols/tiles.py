@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +21,8 @@ from segloc.tiles import TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
+from ..outcomes import outcome
 from ..report import Cell, Table, publish, reporting, share
-from .real import outcome
 
 RADIUS_M, FAR_M = 50.0, 80.0
 SETS = ("accumulated", "sparse")
@@ -51,51 +50,36 @@ def elsewhere(truth: Pose, path: Float64, rng: np.random.Generator) -> Float64:
     return chosen
 
 
-@dataclass(frozen=True)
-class Places:
-    """One map untiled and in tiles.
+Way = Callable[[Query, Pose], Localization]
 
-    Attributes
-    ----------
-    path : (P, 4, 4) float64
-        The mapped path.
-    """
 
-    localizer: Localizer
-    tiled: Localizer
-    path: Float64
+def ways(localizer: Localizer, path: Float64, rng: np.random.Generator) -> dict[str, Way]:
+    """Return how each query is localized; ``path`` is the mapped one, (P, 4, 4)."""
 
-    def ways(self, rng: np.random.Generator) -> dict[str, Callable[[Query, Pose], Localization]]:
-        """Return how each query is localized."""
+    def right(T: Pose) -> Prior:
+        return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
 
-        def near(T: Pose) -> Prior:
-            return Prior(T[:2, 3] + rng.uniform(-0.5, 0.5, 2) * RADIUS_M, RADIUS_M)
+    def wrong(T: Pose) -> Prior:
+        return Prior(elsewhere(T, path, rng), RADIUS_M)
 
-        def wrong(T: Pose) -> Prior:
-            return Prior(elsewhere(T, self.path, rng), RADIUS_M)
+    return {
+        "": lambda query, _: localizer.locate(query),
+        ", prior": lambda query, T: localizer.locate(query, near=right(T)),
+        ", wrong prior": lambda query, T: localizer.locate(query, near=wrong(T)),
+    }
 
-        whole, tiled = self.localizer, self.tiled
-        return {
-            "in one piece": lambda query, _: whole.locate(query),
-            "in one piece, prior": lambda query, T: whole.locate(query, near=near(T)),
-            "in one piece, wrong prior": lambda query, T: whole.locate(query, near=wrong(T)),
-            "in tiles": lambda query, _: tiled.locate(query),
-            "in tiles, prior": lambda query, T: tiled.locate(query, near=near(T)),
-            "in tiles, wrong prior": lambda query, T: tiled.locate(query, near=wrong(T)),
-        }
 
-    def rows(self, name: str, queries: list[tuple[Query, Pose]]) -> Iterator[tuple[Cell, ...]]:
-        """Measure results and cost of each way."""
-        for way, locate in self.ways(np.random.default_rng(0)).items():
-            outcomes, spent = [], []
-            for query, truth in queries:
-                start = time.process_time()
-                answer = locate(query, truth)
-                spent.append(1e3 * (time.process_time() - start))
-                outcomes.append(outcome(answer.T_map_sensor, truth))
-            found = share(outcomes.count("found"), len(queries))
-            times = round(float(np.median(spent)), 1), round(float(np.mean(spent)), 1)
-            yield name, way, found, outcomes.count("false"), *times
+def measured(queries: list[tuple[Query, Pose]], locate: Way) -> Iterator[Cell]:
+    """Count what is found and false, and the processor time of a query."""
+    outcomes, spent = [], []
+    for query, truth in queries:
+        start = time.process_time()
+        answer = locate(query, truth)
+        spent.append(1e3 * (time.process_time() - start))
+        outcomes.append(outcome(answer.T_map_sensor, truth))
+    yield share(outcomes.count("found"), len(queries))
+    yield outcomes.count("false")
+    yield from (round(float(mean(spent)), 1) for mean in (np.median, np.mean))
 
 
 def main() -> None:
@@ -113,12 +97,19 @@ def main() -> None:
         build_map(kitti00.mapped(args.data, "sparse"), config).save(file)
     whole = SegmentMap.load(file)
     index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
-    tiled = Localizer(TiledMap(args.out / "tiles"), config)
-    places = Places(Localizer(whole, config), tiled, whole.trajectory)
+    places = {
+        "in one piece": Localizer(whole, config),
+        "in tiles": Localizer(TiledMap(args.out / "tiles"), config),
+    }
     rows: list[tuple[Cell, ...]] = []
     for name in SETS:
-        queries = described(args.data, name, places.localizer, places.path, args.step)
-        rows += places.rows(name, list(queries))
+        queries = list(
+            described(args.data, name, places["in one piece"], whole.trajectory, args.step)
+        )
+        rng = np.random.default_rng(0)
+        for place, localizer in places.items():
+            for prior, locate in ways(localizer, whole.trajectory, rng).items():
+                rows.append((name, place + prior, *measured(queries, locate)))
     sizes = [sum(tile.bytes for tile in index.tiles), file.stat().st_size, index.coarse.bytes]
     of_tiles, of_one, of_thin = (each / 1e6 for each in sizes)
     note = (

@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
-from segloc.batch import pose_errors
 from segloc.io import read_trajectory
 from segloc.proposals import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
 from ..calibration.landmarks import mirrored as mirror_image
-from ..report import Cell, Table, entries, keep, publish, resumed, share, wilson
+from ..outcomes import pose_error
+from ..report import Cell, Table, earlier, entries, keep, publish, resumed, share, wilson
 
 BEHIND_M = 50.0
 REVISIT_M = 3.0
@@ -91,18 +91,17 @@ class Thinning:
 
     keep: float = 1.0
     noise_m: float = 0.0
-    seed: int = 0
 
     def query(self, landmarks: Landmarks, number: int) -> Landmarks:
         """Return the remaining landmarks of a query."""
-        kept, noise = self._drawn(len(landmarks), (self.seed, 0, number))
+        kept, noise = self._drawn(len(landmarks), (0, 0, number))
         assert landmarks.diameters is not None
         positions = (landmarks.positions + noise)[kept]
         return Landmarks(positions, landmarks.directions[kept], landmarks.diameters[kept])
 
     def map(self, prior_map: LandmarkMap, number: int) -> LandmarkMap:
         """Return the remaining map for one query."""
-        kept, noise = self._drawn(len(prior_map), (self.seed, 1, number))
+        kept, noise = self._drawn(len(prior_map), (0, 1, number))
         return LandmarkMap(
             (prior_map.positions + noise)[kept],
             prior_map.axes[kept],
@@ -150,10 +149,7 @@ def outcomes(forest: Forest, thinning: Thinning, every: int, mirrored: bool) -> 
             prior_map = mirror_image(prior_map)
         localizer = LandmarkLocalizer(prior_map, clock=time.process_time)
         answer = localizer.localize(thinning.query(forest.frames[k], k))
-        metres = degrees = float("inf")
-        if answer.localized and not mirrored:
-            errors = pose_errors(answer.T_map_sensor[None], forest.poses[k][None])
-            metres, degrees = float(errors[0][0]), float(errors[1][0])
+        metres, degrees = pose_error(answer.T_map_sensor, None if mirrored else forest.poses[k])
         reason = "" if answer.localized else str(answer.reason)
         efforts = answer.counts.get("efforts", 1)
         total = answer.times_ms["total"]
@@ -227,7 +223,7 @@ def main() -> None:
     options.add_argument("data", type=Path)
     options.add_argument("--every", type=int, default=1, help="use every N-th query")
     args = options.parse_args()
-    done = entries(args.out) if args.out.exists() else []
+    done = earlier(args.out)
     forest = Forest.load(args.data)
     for name, (thinning, every, mirrored) in WAYS.items():
         if any(run["stems"] == name for run in done):

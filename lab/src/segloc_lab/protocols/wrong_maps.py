@@ -29,7 +29,7 @@ from ..calibration.judge import RIGHT_M
 from ..calibration.rows import errors
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
-from ..report import Cell, Table, entries, keep, publish, resumed, wilson
+from ..report import Cell, Table, earlier, entries, keep, publish, resumed, wilson
 
 HOME = ("own", "half")
 MIRRORED = " mirrored"
@@ -90,7 +90,7 @@ def parts(worlds: list[Path], seed: int = 0) -> list[Part]:
 def searched(part: Part) -> Record:
     """Localize the queries of a part; count the outcomes, and list the false answers."""
     start = time.process_time()
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     own = Localizer(SegmentMap.load(part.world / "own.segmap"), config)
     made = [each for drive in load_queries(part.world / "queries.npz") for each in drive]
     queries = [own.describe(each.scans) for each in made]
@@ -179,11 +179,11 @@ def main() -> None:
     options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
     if args.add:
-        report([r for path in args.add for r in entries(path)], args.report)
+        report(entries(*args.add), args.report)
         return
     if args.worlds is None:
         options.error("pass the folder of generated worlds, or --add FILE")
-    done = [r["part"] for r in entries(args.out)] if args.out.exists() else []
+    done = [r["part"] for r in earlier(args.out)]
     left = [part for part in parts(generated(args.worlds)) if part.key not in done]
     found = in_parallel(searched, left, args.workers)
     for _, record in track(found, "parts", total=len(left)):
