@@ -176,7 +176,7 @@ def test_a_set_is_exported_and_answered_by_segloc_and_as_published(
     at = query_positions(drive.truth, 15.0, 10.0)
     here = Group(drive, at, drive.truth[at])
     there = replace(here, truths=far(here.truths), name=ELSEWHERE)
-    made = Set("a town", lambda _: Material(world.mapped, [here, there]), traits=traits)
+    made = Set(lambda _: Material(world.mapped, [here, there]), traits=traits)
     export(tmp_path, made, tmp_path, 1)
     queries = Clouds.load(tmp_path / "queries.npz")
     assert queries.within_coverage.tolist() == [True] * len(at) + [False] * len(at)

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from segloc import geometry
 
 from ..script import parser
-from .exchange import Answers, Clouds, run, settings_of
-from .scan_context import Places, Query, near
+from .exchange import Clouds, near, opened, run
+from .scan_context import RADIUS_M, Places, Query
 
 LEVELS = 7
 """Of the pyramid: its coarsest windows are 2 ** 6 cells wide."""
@@ -221,17 +221,15 @@ def turned(xy: Floats, settings: Settings) -> Ints:
 def grid_of(views: Clouds, settings: Settings) -> Grid:
     """Return the grid of all views, each cut at the height of its own sensor."""
     xy = [
-        settings.slice(near(views[i])) @ T[:2, :2].T + T[:2, 3] for i, T in enumerate(views.poses)
+        settings.slice(near(views[i], RADIUS_M)) @ T[:2, :2].T + T[:2, 3]
+        for i, T in enumerate(views.poses)
     ]
     return Grid(np.concatenate(xy), settings)
 
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write the answer to each query: the best pose after GICP, with the share that fits there."""
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    answers = Answers.resume(folder, "branch_and_bound", queries, settings_of(options))
-    todo = answers.pending(options.every)
+    views, queries, (answers,), todo = opened(folder, options, "branch_and_bound")
     if not todo:
         return
     low, high = options.slice

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..outcomes import path_km
 from ..report import Cell, Table, publish, reporting, wilson
 from .exchange import ELSEWHERE, Answers, Clouds
 
@@ -190,12 +191,6 @@ def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
     scores = [score(paths[name], queries, square_m) for name in kept]
     scores.sort(key=lambda s: -int((s.right[-1] & s.taken & queries.within_coverage).sum()))
     return Part(folder.name, queries, scores, path_km(path))
-
-
-def path_km(poses: Floats) -> float:
-    """Return the length of a mapped path without its gaps [km]."""
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return float(steps[steps < 10.0].sum()) / 1000
 
 
 COLUMNS = (

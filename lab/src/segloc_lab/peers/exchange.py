@@ -12,7 +12,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +63,11 @@ class Clouds:
             return cls(**arrays)
 
 
-@dataclass
 class Gathering:
     """Clouds that are still being gathered."""
 
-    items: list[tuple[NDArray[np.float32], NDArray[np.float64], int, bool, str]] = field(
-        default_factory=list
-    )
+    def __init__(self) -> None:
+        self._items: list[tuple[NDArray[np.float32], NDArray[np.float64], int, bool, str]] = []
 
     def add(
         self,
@@ -79,10 +77,10 @@ class Gathering:
         within_coverage: bool = True,
         group: str = "all",
     ) -> None:
-        self.items.append((points, pose, scans, within_coverage, group))
+        self._items.append((points, pose, scans, within_coverage, group))
 
     def clouds(self) -> Clouds:
-        points, poses, scans, within_coverage, group = zip(*self.items, strict=True)
+        points, poses, scans, within_coverage, group = zip(*self._items, strict=True)
         return Clouds(
             np.stack(poses),
             np.array(scans, dtype=np.int64),
@@ -192,6 +190,21 @@ def _replace(path: Path, **arrays: Any) -> None:
 def settings_of(options: argparse.Namespace) -> str:
     """Return the options that answers depend on, as text."""
     return str(sorted((k, v) for k, v in vars(options).items() if k not in ("folders", "every")))
+
+
+def opened(
+    folder: Path, options: argparse.Namespace, *systems: str
+) -> tuple[Clouds, Clouds, list[Answers], list[int]]:
+    """Return the views, the queries, each system's answers so far, and which queries are left."""
+    queries, settings = Clouds.load(folder / "queries.npz"), settings_of(options)
+    answers = [Answers.resume(folder, system, queries, settings) for system in systems]
+    views = Clouds.load(folder / f"views-{options.views}.npz")
+    return views, queries, answers, answers[-1].pending(options.every)
+
+
+def near(points: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
+    """Return the points near the sensor, which is at the origin."""
+    return np.ascontiguousarray(points[(points[:, :2] ** 2).sum(axis=1) < radius_m**2])
 
 
 def run(

@@ -9,7 +9,6 @@ cloud itself lies beside them.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from segloc.types import Float64, LocalCloud, Recording
 
 from .. import kitti00
 from ..protocols.accuracy import VOXEL_M, Reference
+from ..recordings import Cached, posed
 from .exchange import Clouds, Gathering
 from .sets import Group, Set
 
@@ -30,18 +30,8 @@ VIEWS_M = {"long": 40.0, "short": 16.0, "scan": 0.0}
 VIEW_EVERY_M = {"long": 8.0, "short": 8.0, "scan": 2.0}
 LOCAL = LocalCloudConfig(radius_m=80.0)
 THIN_M = 0.1
-
-
-class Cached:
-    """A recording that keeps the scans of a window in memory."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.name, self.indices, self.poses = recording.name, recording.indices, recording.poses
-        self.stamps = recording.stamps
-        self.scan = lru_cache(64)(recording.scan)
-
-    def __len__(self) -> int:
-        return len(self.indices)
+WINDOW = 64
+"""Scans that are kept in memory: windows overlap."""
 
 
 def export(folder: Path, chosen: Set, data: Path, every: int) -> None:
@@ -53,7 +43,7 @@ def export(folder: Path, chosen: Set, data: Path, every: int) -> None:
         write_cloud(material.mapped, folder, chosen.sensor_height_m)
     else:
         for name, length in VIEWS_M.items():
-            found = views(Cached(material.mapped), length, VIEW_EVERY_M[name])
+            found = views(Cached(material.mapped, WINDOW), length, VIEW_EVERY_M[name])
             found.save(folder / f"views-{name}.npz")
     np.save(folder / "path.npy", path)
     gathering = Gathering()
@@ -68,7 +58,7 @@ def export(folder: Path, chosen: Set, data: Path, every: int) -> None:
 def add(found: Gathering, group: Group, path: Float64, coverage_m: float) -> None:
     """Add the queries of a group, gathered ones in a level frame."""
     near = distances_to_path(group.truths, path) <= coverage_m
-    recording = Cached(group.recording)
+    recording = Cached(group.recording, WINDOW)
     for i, truth, inside in zip(group.positions.tolist(), group.truths, near, strict=True):
         if not group.gathered:
             found.add(recording.scan(i).points, truth, 1, bool(inside), group.name)
@@ -100,10 +90,7 @@ def views(recording: Recording, length_m: float, every_m: float) -> Clouds:
 
 def write_cloud(recording: Recording, folder: Path, sensor_height_m: float) -> None:
     """Write all scans as one cloud, and the views from segloc's viewpoints in it."""
-    poses = kitti00.poses_of(recording)
-    points = np.concatenate(
-        [geometry.transform(T, recording.scan(i).points) for i, T in enumerate(poses)]
-    )
+    points = np.concatenate(list(posed(recording)))
     np.savez(folder / "cloud.npz", points=points, sensor_height_m=sensor_height_m)
     prior_map = SegmentMap.from_cloud(points, Config(threads=1), sensor_height=sensor_height_m)
     cloud, found = ThinCloud.of(points), Gathering()

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from segloc import geometry
 
 from ..script import parser
-from .exchange import Clouds, run, settings_of
-from .scan_context import Places, Query, ScanContexts, near, resume, sideways
+from .exchange import near, opened, run
+from .scan_context import Places, Query, ScanContexts, sideways
 
 RADIUS_M = 60.0
 
@@ -43,11 +43,8 @@ def registered(
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by the number of inliers alone."""
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    given = folder, queries, settings_of(options)
-    verified, alone = resume(*given, "kiss_matcher"), resume(*given, "kiss_matcher-inliers")
-    todo = alone.pending(options.every)
+    systems = "kiss_matcher", "kiss_matcher-inliers"
+    views, queries, (verified, alone), todo = opened(folder, options, *systems)
     if not todo:
         return
     contexts, places = ScanContexts(views, options.radius), Places(views)
@@ -76,8 +73,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
                 for (T, _), candidate in zip(poses, candidates, strict=True)
             ]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-        verified.save(folder, "kiss_matcher", q)
-        alone.save(folder, "kiss_matcher-inliers", q)
+        for answers, system in zip((verified, alone), systems, strict=True):
+            answers.save(folder, system, q)
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from map_closures.map_closures import MapClosures
 from numpy.typing import NDArray
 
 from ..script import parser
-from .exchange import Answers, Clouds, run, settings_of
+from .exchange import opened, run
 
 RADIUS_M = 50.0
 
@@ -29,11 +29,7 @@ def near(points: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    system = "map_closures"
-    answers = Answers.resume(folder, system, queries, settings_of(options))
-    todo = answers.pending(options.every)
+    views, queries, (answers,), todo = opened(folder, options, "map_closures")
     if not todo:
         return
     closures = MapClosures(MapClosuresConfig(density_map_resolution=options.resolution))
@@ -51,7 +47,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             # The pose takes points of the view to the query.
             T = views.poses[best.source_id] @ np.linalg.inv(np.asarray(best.pose))
             answers.give(q, T, float(best.number_of_inliers))
-        answers.save(folder, system, q)
+        answers.save(folder, "map_closures", q)
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ import open3d
 from numpy.typing import NDArray
 
 from ..script import parser
-from .exchange import Answers, Clouds, run, settings_of
+from .exchange import Clouds, near, opened, run
 
 RADIUS_M = 50.0
 """How far from the sensor clouds are compared."""
@@ -55,12 +55,6 @@ class Target:
         return 4 * len(self.cloud.points) * (6 + int(self.features.dimension()))
 
 
-def near(points: NDArray[np.floating]) -> Floats:
-    """Return the points near the sensor, which is at the origin."""
-    inside = (points[:, :2] ** 2).sum(axis=1) < RADIUS_M**2
-    return np.asarray(points[inside], dtype=np.float64)
-
-
 def cloud_of(points: Floats, voxel: float) -> Any:
     """Return Open3D's cloud of points, downsampled."""
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
@@ -86,7 +80,10 @@ def apart(positions: Floats, metres: float) -> list[int]:
 
 def targets_of(views: Clouds, options: argparse.Namespace) -> list[Target]:
     """Return the map as a whole if it is small, and views of places otherwise."""
-    moved = [near(views[i]) @ T[:3, :3].T + T[:3, 3] for i, T in enumerate(views.poses)]
+    moved = [
+        near(views[i], RADIUS_M).astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+        for i, T in enumerate(views.poses)
+    ]
     whole = cloud_of(np.concatenate(moved), options.voxel)
     if len(whole.points) <= options.whole:
         return [prepared(whole, options.voxel)]
@@ -140,10 +137,7 @@ def located(query: Target, targets: list[Target], top: int, voxel: float) -> tup
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write the answer to each query, with its fitness."""
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    answers = Answers.resume(folder, "open3d", queries, settings_of(options))
-    todo = answers.pending(options.every)
+    views, queries, (answers,), todo = opened(folder, options, "open3d")
     if not todo:
         return
     targets = targets_of(views, options)
@@ -151,7 +145,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
     for q in todo:
         open3d.utility.random.seed(q)
         with answers.timed(q):
-            query = prepared(cloud_of(near(queries[q]), options.voxel), options.voxel)
+            cloud = cloud_of(near(queries[q], RADIUS_M).astype(np.float64), options.voxel)
+            query = prepared(cloud, options.voxel)
             T, fitness = located(query, targets, options.top, options.voxel)
         if fitness >= 0:
             answers.give(q, T, fitness)

@@ -11,7 +11,6 @@ lanes.
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,18 +25,13 @@ from segloc import geometry
 from segloc.system import kernels
 
 from ..script import parser
-from .exchange import Answers, Clouds, run, settings_of
+from .exchange import Clouds, near, opened, run
 
 RADIUS_M = 50.0
 """How far from the sensor clouds are compared."""
 
 ICP_VOXEL_M, COARSE_M, FINE_M = 0.5, 4.0, 1.0
 OVERLAP_M, ABOVE_GROUND_M, SAMPLE = 0.4, 0.4, 2000
-
-
-def near(points: NDArray[np.float32], radius_m: float = RADIUS_M) -> NDArray[np.float32]:
-    """The points near the sensor, which is at the origin."""
-    return np.ascontiguousarray(points[(points[:, :2] ** 2).sum(axis=1) < radius_m**2])
 
 
 def standing(points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -50,7 +44,7 @@ class Query:
     """A query's cloud, prepared once for all of its candidates."""
 
     def __init__(self, points: NDArray[np.float32]) -> None:
-        close = near(points)
+        close = near(points, RADIUS_M)
         above = standing(close)
         self.above = above[:: max(1, -(-len(above) // SAMPLE))].astype(np.float64)
         self.cloud, _ = small_gicp.preprocess_points(close.astype(np.float64), ICP_VOXEL_M)
@@ -63,7 +57,9 @@ class Places:
     """
 
     def __init__(self, views: Clouds) -> None:
-        points = np.concatenate([near(views[i]) @ R.T + t for i, R, t in parts(views)])
+        points = np.concatenate(
+            [near(views[i], RADIUS_M) @ T[:3, :3].T + T[:3, 3] for i, T in enumerate(views.poses)]
+        )
         self.origin = points.mean(axis=0)
         cloud = kernels.voxel_grid((points - self.origin).astype(np.float32), 0.3)
         self._cloud, self._tree = cloud, cKDTree(cloud)
@@ -101,14 +97,6 @@ class Places:
         gaps, _ = self._tree.query(moved, distance_upper_bound=OVERLAP_M)
         T[:3, 3] += self.origin
         return T, float(np.isfinite(gaps).mean()) if len(moved) else 0.0
-
-
-def parts(views: Clouds) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-    return [(i, T[:3, :3], T[:3, 3]) for i, T in enumerate(views.poses)]
-
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 RINGS, SECTORS = 20, 60
@@ -202,18 +190,10 @@ def sideways(offsets_m: list[float]) -> Floats:
     return np.array([(0.0, offset, 0.0) for offset in offsets_m])
 
 
-def resume(folder: Path, queries: Clouds, settings: str, system: str) -> Answers:
-    """Return the kept answers of a system that is not trained."""
-    return Answers.resume(folder, system, queries, settings)
-
-
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    given = folder, queries, settings_of(options)
-    verified, alone = resume(*given, "scan_context"), resume(*given, "scan_context-alone")
-    todo = alone.pending(options.every)
+    systems = "scan_context", "scan_context-alone"
+    views, queries, (verified, alone), todo = opened(folder, options, *systems)
     if not todo:
         return
     contexts, places = ScanContexts(views, options.radius), Places(views)
@@ -230,8 +210,8 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
         verified.give(q, *max(refined, key=lambda item: item[1]))
-        verified.save(folder, "scan_context", q)
-        alone.save(folder, "scan_context-alone", q)
+        for answers, system in zip((verified, alone), systems, strict=True):
+            answers.save(folder, system, q)
 
 
 def main() -> None:

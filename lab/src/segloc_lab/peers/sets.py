@@ -99,7 +99,6 @@ class Set:
 
     Attributes
     ----------
-    what : str
     make : callable
         Returns the material, from the folder of recordings.
     needs : str or None
@@ -110,7 +109,6 @@ class Set:
         Of the viewpoints in a finished cloud.
     """
 
-    what: str
     make: Callable[[Path], Material]
     needs: str | None = None
     traits: tuple[str, ...] = ()
@@ -258,33 +256,16 @@ def _drive(
 
 
 SETS = {
-    "single": Set("KITTI 00, single scans", partial(kitti, "single", 10, 10), "kitti00"),
-    "accumulated": Set(
-        "KITTI 00, 40 m of scans gathered",
-        partial(kitti, "accumulated", 2, 6),
-        "kitti00",
-        ("gathered",),
-    ),
-    "kitti-cloud": Set(
-        "KITTI 00, single scans in one cloud",
-        partial(kitti, "single", 10, 10),
-        "kitti00",
-        ("cloud",),
-        1.73,
-    ),
-    "corridor": Set(
-        "halls and a corridor, VLP-16, driven back", corridor, "vlp16_corridor", ("indoors",)
-    ),
-    "corridor-cloud": Set(
-        "the corridor as one cloud", corridor, "vlp16_corridor", ("indoors", "cloud")
-    ),
-    "lab": Set("a lab, MID-360, other days", lab, "mid360_lab", ("indoors",)),
-    "town": Set("a simulated town, beside and changed", town, None, ("beside",)),
-    "forest": Set("a simulated forest", partial(world, "forest", WORLD_SEED)),
-    "warehouse": Set(
-        "a simulated warehouse", partial(world, "warehouse", WORLD_SEED), None, ("indoors",)
-    ),
-    "offices": Set(
-        "a simulated office floor", partial(world, "offices", WORLD_SEED), None, ("indoors",)
-    ),
+    "single": Set(partial(kitti, "single", 10, 10), "kitti00"),
+    "accumulated": Set(partial(kitti, "accumulated", 2, 6), "kitti00", ("gathered",)),
+    "kitti-cloud": Set(partial(kitti, "single", 10, 10), "kitti00", ("cloud",), 1.73),
+    "corridor": Set(corridor, "vlp16_corridor", ("indoors",)),
+    "corridor-cloud": Set(corridor, "vlp16_corridor", ("indoors", "cloud")),
+    "lab": Set(lab, "mid360_lab", ("indoors",)),
+    "town": Set(town, None, ("beside",)),
+    "forest": Set(partial(world, "forest", WORLD_SEED)),
+    "warehouse": Set(partial(world, "warehouse", WORLD_SEED), None, ("indoors",)),
+    "offices": Set(partial(world, "offices", WORLD_SEED), None, ("indoors",)),
 }
+"""KITTI 00 by single scans and by 40 m of scans gathered; halls and a corridor of a VLP-16, driven
+back; a lab of a MID-360 on other days; simulated worlds. In ``-cloud`` the map is one cloud."""

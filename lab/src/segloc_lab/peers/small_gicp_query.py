@@ -17,8 +17,8 @@ import numpy as np
 from segloc import geometry
 
 from ..script import parser
-from .exchange import Clouds, run, settings_of
-from .scan_context import FINE_M, Floats, Places, Query, resume
+from .exchange import opened, run
+from .scan_context import FINE_M, Floats, Places, Query
 
 OFF_M, OFF_DEG = 0.5, 2.0
 
@@ -33,10 +33,7 @@ def start_near(T: Floats, seed: int) -> Floats:
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write the pose of each query after GICP, and its overlap."""
-    views = Clouds.load(folder / f"views-{options.views}.npz")
-    queries = Clouds.load(folder / "queries.npz")
-    answers = resume(folder, queries, settings_of(options), "small_gicp")
-    todo = answers.pending(options.every)
+    views, queries, (answers,), todo = opened(folder, options, "small_gicp")
     if not todo:
         return
     places = Places(views)

@@ -78,11 +78,7 @@ PEERS = {
     ),
     "small-gicp": Peer("small_gicp_query", "small_gicp", ("small_gicp",)),
     "branch-and-bound": Peer(
-        "branch_and_bound",
-        "small_gicp",
-        ("branch_and_bound",),
-        (),
-        {"indoors": ("--cell", "0.25")},
+        "branch_and_bound", "small_gicp", ("branch_and_bound",), (), {"indoors": ("--cell", "0.25")}
     ),
     "kiss-matcher": Peer(
         "kiss_matcher_query",
@@ -92,11 +88,7 @@ PEERS = {
         {**_CONTEXTS, "indoors": ("--radius", "50", "--voxel", "0.3")},
     ),
     "open3d": Peer(
-        "open3d_query",
-        "open3d",
-        ("open3d",),
-        (),
-        {"indoors": ("--voxel", "0.5", "--apart", "5")},
+        "open3d_query", "open3d", ("open3d",), (), {"indoors": ("--voxel", "0.5", "--apart", "5")}
     ),
     "map-closures": Peer(
         "map_closures_query",
