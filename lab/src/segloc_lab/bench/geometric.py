@@ -125,9 +125,9 @@ YAW_STEP_M = 1.6
 """How far a step of yaw moves a segment at the root mean square distance, in the consensus."""
 
 
-def clustering(threads: int, repeats: int, cloud: Float32 | None = None) -> Row:
+def clustering(threads: int, repeats: int) -> Row:
     """Exact Euclidean clusters; every rival must find the same partition. One thread always."""
-    points = harness.local_cloud() if cloud is None else cloud
+    points = harness.local_cloud()
     runs: dict[str, Any] = {
         OURS: lambda: _labels(kernels.euclidean_clusters(points, CLUSTER_RADIUS_M, 1, len(points))),
         "SciPy, k-d tree and components": lambda: tree_components(points, CLUSTER_RADIUS_M),
@@ -230,17 +230,21 @@ def pose(threads: int, repeats: int) -> Row:
     )
 
 
-def consensus(problem: MatchProblem, threads: int = 1) -> Float64:
+def consensus(problem: MatchProblem, threads: int) -> Float64:
     """Poses by consensus with the defaults of the configuration."""
-    options = _options(_CONSENSUS_OPTIONS)
-    return kernels.consensus(
-        problem.query,
-        problem.mapped,
-        problem.match_query,
-        problem.match_map,
-        threads=threads,
-        **options,
-    )[0]
+    names = {"inlier_tolerance", "height_tolerance", "distinct_radius", "max_refined"}
+    return kernels.consensus(*_matched(problem), threads=threads, **_options(names))[0]
+
+
+def prosac(problem: MatchProblem) -> Float64:
+    """Poses by PROSAC with the defaults of the configuration."""
+    names = {"edge_tolerance", "inlier_tolerance", "min_edge", "chance", "max_draws"}
+    options = _options(names)
+    return kernels.prosac(*_matched(problem), ordered=True, yaw_only=False, seed=0, **options)[0]
+
+
+def _matched(problem: MatchProblem) -> tuple[Float64, Float64, Int64, Int64]:
+    return problem.query, problem.mapped, problem.match_query, problem.match_map
 
 
 def _options(names: set[str]) -> dict[str, Any]:
@@ -252,36 +256,6 @@ def _options(names: set[str]) -> dict[str, Any]:
         "separation_deg": config.separation.degrees,
         "max_hypotheses": config.max_candidates,
     }
-
-
-_CONSENSUS_OPTIONS = {
-    "inlier_tolerance",
-    "height_tolerance",
-    "distinct_radius",
-    "max_refined",
-}
-_SAMPLING_OPTIONS = {
-    "edge_tolerance",
-    "inlier_tolerance",
-    "min_edge",
-    "chance",
-    "max_draws",
-}
-
-
-def prosac(problem: MatchProblem, ordered: bool = True, seed: int = 0) -> Float64:
-    """Poses by PROSAC with the defaults of the configuration; by RANSAC if not ordered."""
-    options = _options(_SAMPLING_OPTIONS)
-    return kernels.prosac(
-        problem.query,
-        problem.mapped,
-        problem.match_query,
-        problem.match_map,
-        ordered=ordered,
-        yaw_only=False,
-        seed=seed,
-        **options,
-    )[0]
 
 
 def prune_and_solve(kiss: Any, problem: MatchProblem) -> Float64:

@@ -20,6 +20,7 @@ from segloc import geometry
 from segloc.system.text import counted
 from segloc.types import Float32, Float64, Int64, Pose, Scan
 
+from ..outcomes import pose_error
 from ..report import Cell, Table
 from ..stages import clock_for
 
@@ -223,11 +224,6 @@ def rivals_of(row: Row) -> list[tuple[str, float, str]]:
     return [(name, ms, _ratio(ms, row.ours_ms)) for name, ms in ordered]
 
 
-def rounded(value: float) -> float:
-    """Three digits are as many as two runs share."""
-    return float(f"{value:.3g}")
-
-
 def _ms(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
@@ -256,7 +252,8 @@ def _kernel(row: Row) -> tuple[Cell, ...]:
         bound = (
             f"{row.bound_ms:.3g} ({100 * row.bound_ms / row.ours_ms:.0f} % of ours), {row.bound}"
         )
-    return f"`{row.name}`", row.threads, rounded(row.ours_ms), rivals or None, bound
+    ours_ms = float(f"{row.ours_ms:.3g}")  # as many digits as two runs share
+    return f"`{row.name}`", row.threads, ours_ms, rivals or None, bound
 
 
 SENSOR_HEIGHT_M = 1.8
@@ -301,10 +298,10 @@ class Plaza:
             parts.append(geometry.transform(turn, shell))
         self.points: Float64 = np.vstack(parts)
 
-    def scan(self, T_world_sensor: Pose, radius_m: float = 50.0, seed: int = 0) -> Scan:
-        """Every point within the radius, with 2 cm of noise; posed."""
+    def scan(self, T_world_sensor: Pose, seed: int = 0) -> Scan:
+        """Every point within 50 m, with 2 cm of noise; posed."""
         points = geometry.transform(geometry.inverse(T_world_sensor), self.points)
-        points = points[np.hypot(points[:, 0], points[:, 1]) < radius_m]
+        points = points[np.hypot(points[:, 0], points[:, 1]) < 50.0]
         points += np.random.default_rng(seed).normal(0, 0.02, points.shape)
         return Scan(points, stamp=float(seed), T_odom_sensor=T_world_sensor)
 
@@ -331,14 +328,14 @@ class PlazaWalk:
         return self._plaza.scan(self.poses[i], seed=i)
 
 
-def local_cloud(points: int = 45_000, seed: int = 0) -> Float32:
-    """Return at most ``points`` points within 50 m on a plaza, voxelised at 0.2 m, (N, 3)."""
-    rng = np.random.default_rng([seed, 78])
-    shells = segments(100, 900, seed).astype(np.float64) * [1.0, 2.0, 1.0]
+def local_cloud() -> Float32:
+    """Return at most 45 000 points within 50 m on a plaza, voxelised at 0.2 m, (N, 3)."""
+    rng = np.random.default_rng([0, 78])
+    shells = segments(100, 900).astype(np.float64) * [1.0, 2.0, 1.0]
     places = rng.uniform(-50, 50, (len(shells), 1, 3)) * [1, 1, 0] + [0, 0, 2.0]
     cloud = (shells + places).reshape(-1, 3)
     _, first = np.unique(np.floor(cloud / 0.2).astype(np.int64), axis=0, return_index=True)
-    return np.ascontiguousarray(cloud[np.sort(first)[:points]], dtype=np.float32)
+    return np.ascontiguousarray(cloud[np.sort(first)[:45_000]], dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -361,46 +358,32 @@ class MatchProblem:
     match_map: Int64
     T_map_local: Pose
 
-    def found(self, poses: Float64, metres: float = 1.0, degrees: float = 3.0) -> bool:
-        """Whether the first of the poses is the true one."""
+    def found(self, poses: Float64) -> bool:
+        """Whether the first of the poses is the true one, within 1 m and 3 degrees."""
         if len(poses) == 0:
             return False
-        delta = geometry.inverse(self.T_map_local) @ poses[0]
-        turned = np.degrees(geometry.rotation_angle(delta))
-        return bool(np.linalg.norm(delta[:3, 3]) < metres and turned < degrees)
+        metres, degrees = pose_error(poses[0], self.T_map_local)
+        return metres < 1.0 and degrees < 3.0
 
 
-def match_problem(
-    *,
-    inliers: float = 0.01,
-    informative: bool = True,
-    queries: int = 300,
-    neighbours: int = 25,
-    mapped: int = 50_000,
-    seed: int = 0,
-) -> MatchProblem:
+def match_problem() -> MatchProblem:
     """Matches of a query cloud with a map of 1 km by 1 km.
 
-    Parameters
-    ----------
-    inliers : float
-        Share of the matches that are true; at most one a query.
-    informative : bool
-        Whether true matches tend to stand before false ones.
+    One in a hundred is true, at most one a query, and true matches tend to stand before false ones.
     """
-    rng = np.random.default_rng([seed, 79])
+    queries, neighbours, mapped = 300, 25, 50_000
+    rng = np.random.default_rng([0, 79])
     query = np.column_stack([rng.uniform(-50, 50, (queries, 2)), rng.uniform(0.5, 4, queries)])
     place = np.column_stack([rng.uniform(-500, 500, (mapped, 2)), rng.uniform(0.5, 4, mapped)])
     T = geometry.yaw_transform(rng.uniform(-np.pi, np.pi), (*rng.uniform(-400, 400, 2), 0.3))
     count = queries * neighbours
     match_query = np.repeat(np.arange(queries), neighbours)
     match_map = rng.integers(0, mapped, count)
-    true = rng.choice(queries, min(round(inliers * count), queries), replace=False)
+    true = rng.choice(queries, round(0.01 * count), replace=False)
     place[true] = geometry.transform(T, query[true]) + rng.normal(0, 0.15, (len(true), 3))
     at = true * neighbours
     match_map[at] = true
     score = rng.normal(0, 1, count)
-    if informative:
-        score[at] += 1.5
+    score[at] += 1.5
     order = np.argsort(-score)
     return MatchProblem(query, place, match_query[order], match_map[order], T)

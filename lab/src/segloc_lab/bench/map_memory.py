@@ -35,7 +35,7 @@ def resident_mb() -> float:
 
 def measured(path: Path, scans: list[Path]) -> tuple[Cell, ...]:
     """Load a map, build its localizer, and localize scans; return a row of the table."""
-    config = Config.preset("profile").model_copy(update={"threads": 1})
+    config = Config(threads=1)
     queries = [Scan(read_scan(each).points) for each in scans]
     marks = [resident_mb()]
     prior_map = SegmentMap.load(path)

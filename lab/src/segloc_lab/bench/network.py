@@ -48,19 +48,15 @@ def network(threads: int, repeats: int) -> Row:
 def dsm_vs_esm(threads: int, repeats: int) -> Row:
     """The paper's comparison on one engine: DSM's time, ESM as the rival."""
     prepared = prepared_segments(SEGMENTS)
-    flops = {name: sum(layer_flops(layers)) for name, layers in _both().items()}
-    engines = {name: build(layers, random_tensors(layers)) for name, layers in _both().items()}
+    both: dict[str, Sequence[Layer]] = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
+    flops = {name: sum(layer_flops(layers)) for name, layers in both.items()}
     runs = {
-        OURS: partial(engines["dsm"].describe, prepared, threads),
-        "esm": partial(engines["esm"].describe, prepared, threads),
+        name: partial(build(layers, random_tensors(layers)).describe, prepared, threads)
+        for name, layers in zip((OURS, "esm"), both.values(), strict=True)
     }
     bound = Bound("its arithmetic", flops=float(flops["dsm"] * SEGMENTS))
     details = {f"{name}, MFLOP a segment": count / 1e6 for name, count in flops.items()}
     return row("dsm_vs_esm", threads, repeats, runs, bound=bound, details=details)
-
-
-def _both() -> dict[str, Sequence[Layer]]:
-    return {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
 
 
 def prepared_segments(count: int) -> Float32:
@@ -165,9 +161,8 @@ def _torch_run(torch: Any, model: Any, prepared: Float32, size: int) -> Any:
 def _onnx_run(
     modules: tuple[Any, Any], model: Any, prepared: Float32, size: int, threads: int
 ) -> Any:
-    from ..training.models import torch_forms
-
     """Export the model to ONNX Runtime, and run it over chunks of the segments."""
+    from ..training.models import torch_forms
 
     torch, runtime = modules
     chunks = _chunks(torch, model, prepared, size)
