@@ -135,6 +135,7 @@ def bench(
     import os
 
     from segloc.cli.console import busy, note, table
+    from segloc.system.kernels import instruction_set
     from segloc.system.machine import processor
 
     from ..bench import harness, versions
@@ -146,7 +147,7 @@ def bench(
     plan = Plan(names, _numbers(threads), repeats, data, against)
     with busy("Measuring"):
         kernels = list(plan.kernels())
-    _show(kernels, f"{processor()}, {os.cpu_count()} cores, {_isa()}")
+    _show(kernels, f"{processor()}, {os.cpu_count()} cores, {instruction_set()}")
     skipped = sorted({name for row in kernels for name in row.skipped})
     if skipped:
         note(f"not installed, so not measured: {', '.join(skipped)}")
@@ -162,12 +163,6 @@ def bench(
     if report is not None:
         parts = harness.tables(kernels) + versions.tables(works)
         print(write(report, "Kernels and whole work", parts))
-
-
-def _isa() -> str:
-    from segloc.system.kernels import instruction_set
-
-    return instruction_set()
 
 
 def _numbers(text: str) -> tuple[int, ...]:

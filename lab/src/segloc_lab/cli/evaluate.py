@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from segloc.cli.console import note, progress, say
-from segloc.cli.options import Cluster
+from segloc.cli.options import Cluster, check_every
 from segloc.cli.verbs import group
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 
-from . import evaluate_failures, evaluate_peers
+from .evaluate_failures import failures
+from .evaluate_peers import peers
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from ..evaluation.scenario import Pair
+    from ..evaluation.scenario import PairScenario
     from ..evaluation.study import Study
     from ..studies.paper.workspace import Workspace
 
@@ -76,70 +75,12 @@ Every = Annotated[float, typer.Option(metavar="METRES", help="Distance between q
 
 app = group(
     "Repeat the studies of the paper, or compare the methods on two recordings. Results are stored "
-    "in DIR as they finish; an interrupted run resumes. DIR/STUDY/REPORT.md shows them.",
+    "in DIR as they finish; an interrupted run resumes. DIR/STUDY/REPORT.md shows them."
 )
-
-
-def own_pair(
-    mapped: Path,
-    query: Path,
-    map_poses: Path | None,
-    poses: Path | None,
-    truth: Path | None,
-    map_select: str | None,
-    select: str | None,
-    topic: str | None,
-    every: float,
-) -> Pair:
-    """Return two recordings, with the pose files in their folders by default."""
-    from segloc.cli.options import check_every
-
-    from ..evaluation.scenario import Pair
-
-    check_every(every)
-    for path in (mapped, query):
-        if not path.exists():
-            raise DatasetError(f"{path}: no such file or folder")
-    map_poses = map_poses or _lying_in(mapped, _POSES)
-    truth = truth or _lying_in(query, _POSES)
-    poses = poses or _lying_in(query, _ODOMETRY) or truth
-    return Pair(mapped, query, map_poses, poses, truth, map_select, select, topic, every)
 
 
 def _lying_in(folder: Path, name: Path) -> Path | None:
     return folder / name if (folder / name).is_file() else None
-
-
-@contextmanager
-def on_cluster(address: str | None) -> Iterator[Executor | None]:
-    """Connect to a cluster; None without an address."""
-    from segloc.system.processes import executing
-
-    with executing(1, address) as executor:
-        yield executor
-
-
-def compare_on(
-    pair: Pair,
-    out: Path,
-    methods: str | None,
-    threads: int,
-    workers: int,
-    cluster: str | None = None,
-) -> None:
-    """Compare the methods on two recordings, print the tables and write the report."""
-    from segloc.cli.console import note, progress
-    from segloc.cli.results import check_folder
-
-    from ..evaluation.comparison_study import own_recordings
-    from ..evaluation.workspace import Workspace
-
-    check_folder(out)
-    means = (0, threads, workers, chosen(methods), progress, note, command_line())
-    with on_cluster(cluster) as executor:
-        study = own_recordings(Workspace(out, *means, executor), pair)
-    study.save(out / study.name)
-    show(study, out)
 
 
 def chosen(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
@@ -263,8 +204,8 @@ def register() -> None:
         _add(app, name)
     app.command("localization")(localization)
     app.command("kitti-paper")(kitti_paper)
-    evaluate_failures.register(app)
-    evaluate_peers.register(app)
+    app.command("failures")(failures)
+    app.command("peers")(peers)
 
 
 def _add(group: typer.Typer, name: str) -> None:
@@ -326,8 +267,41 @@ def localization(
         return
     if query is None:
         raise ConfigError("pass two recordings, one to map and one to localize in it")
-    files = (map_poses, poses, truth, map_select, select, topic)
-    compare_on(own_pair(mapped, query, *files, every), out, methods, threads, workers, cluster)
+    check_every(every)
+    for path in (mapped, query):
+        if not path.exists():
+            raise DatasetError(f"{path}: no such file or folder")
+    map_poses = map_poses or _lying_in(mapped, _POSES)
+    truth = truth or _lying_in(query, _POSES)
+    poses = poses or _lying_in(query, _ODOMETRY) or truth
+    files = (mapped, query, map_poses, poses, truth, map_select, select, topic)
+    from ..evaluation.scenario import Pair, PairScenario
+
+    _compare(PairScenario(Pair(*files, every)), out, methods, threads, workers, cluster)
+
+
+def _compare(
+    scenario: PairScenario,
+    out: Path,
+    methods: str | None,
+    threads: int,
+    workers: int,
+    cluster: str | None,
+) -> None:
+    """Compare the methods on two recordings, print the tables and write the report."""
+    from segloc.cli.results import check_folder
+    from segloc.system.processes import executing
+
+    from ..evaluation.comparison_study import compare
+    from ..evaluation.workspace import Workspace
+
+    check_folder(out)
+    means = (0, threads, workers, chosen(methods), progress, note, command_line())
+    with executing(1, cluster) as executor:
+        workspace = Workspace(out, *means, executor)
+        study = compare(workspace, [scenario], "own", "Localization of your own recordings")
+    study.save(out / study.name)
+    show(study, out)
 
 
 @contextmanager
@@ -343,12 +317,13 @@ def _workspace(
     cluster: str | None,
 ) -> Iterator[Workspace]:
     from segloc.cli.results import check_folder
+    from segloc.system.processes import executing
 
     from ..studies.paper.workspace import Workspace
 
     check_folder(out)
     means = (seed, threads, workers, chosen(methods), progress, note, command_line())
-    with on_cluster(cluster) as executor:
+    with executing(1, cluster) as executor:
         yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
 
 

@@ -23,11 +23,6 @@ if TYPE_CHECKING:
     from ..evaluation.failures import Funnel
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb to the command line."""
-    app.command("failures")(failures)
-
-
 def failures(
     sequence: Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],

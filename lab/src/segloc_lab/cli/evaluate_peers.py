@@ -10,11 +10,6 @@ import typer
 from segloc.cli.console import say
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb to the command line."""
-    app.command("peers")(peers)
-
-
 def peers(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of sets and answers.")],
     data: Annotated[

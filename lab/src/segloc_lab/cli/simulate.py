@@ -73,8 +73,7 @@ Spacing = Annotated[
     ),
 ]
 Size = Annotated[
-    float | None,
-    typer.Option(metavar="METRES", help="Side of the world.", show_default="by scene"),
+    float | None, typer.Option(metavar="METRES", help="Side of the world.", show_default="by scene")
 ]
 Storey = Annotated[
     int, typer.Option(min=0, metavar="NUMBER", help="Storey of a building to drive through.")
@@ -91,9 +90,7 @@ Season = Annotated[
 Foliage = Annotated[
     float | None,
     typer.Option(
-        metavar="SHARE",
-        help="Leaves left in later sessions, 0 to 1.",
-        show_default="by season",
+        metavar="SHARE", help="Leaves left in later sessions, 0 to 1.", show_default="by season"
     ),
 ]
 Replaced = Annotated[
@@ -159,6 +156,7 @@ def simulate(
     leave the map, and find other cars, other seasons and some objects replaced.
     """
     from segloc.cli.results import check_folder
+    from segloc.datasets import swathes
 
     check_folder(out)
     if file_format is not None:
@@ -179,7 +177,9 @@ def simulate(
     )
     plan = _plan(sessions, season, foliage, replaced, scaffolding)
     drives = _drives(order, plan)
-    recordings = [_gathered(drive, swathe) for drive in drives]
+    recordings: list[Sequence] = [
+        drive if swathe is None else swathes(drive, swathe) for drive in drives
+    ]
     for drive, recording in zip(drives, recordings, strict=True):
         _record(recording, out / drive.name, suffix, objects, workers)
     kinds = _kinds(drives) if objects else {}
@@ -269,12 +269,6 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
             storey=order.storey,
         )
     return [drive.with_odometry() for drive in drives]
-
-
-def _gathered(drive: SimulatedSequence, swathe: float | None) -> Sequence:
-    from segloc.datasets import swathes
-
-    return drive if swathe is None else swathes(drive, swathe)
 
 
 def _record(

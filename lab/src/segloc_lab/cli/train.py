@@ -21,12 +21,10 @@ from segloc.cli.options import (
     load_config,
 )
 from segloc.cli.verbs import group
-from segloc.errors import DatasetError
+from segloc.errors import ConfigError, DatasetError
 
 if TYPE_CHECKING:
-    from ..training.extract import ExtractConfig
     from ..training.labels import LabelCounts
-    from ..training.shards import Session
 
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")]
@@ -40,6 +38,8 @@ Lengths = Annotated[
     ),
 ]
 
+Seed = Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")]
+Threads = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")]
 Thin = Annotated[
     int, typer.Option(min=1, metavar="COUNT", help="Keep every COUNT-th simulated firing.")
 ]
@@ -71,9 +71,7 @@ Simulate = Annotated[
 Sensors = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME,...",
-        help="Simulated sensors to choose from.",
-        show_default="common ones",
+        metavar="NAME,...", help="Simulated sensors to choose from.", show_default="common ones"
     ),
 ]
 
@@ -100,7 +98,7 @@ def extract(
     centroids_only: Annotated[
         bool, typer.Option(help="Label by centroids alone, as the paper does.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
+    seed: Seed = 0,
     workers: Workers = 2,
     cluster: Cluster = None,
     config: ConfigFile = None,
@@ -111,11 +109,13 @@ def extract(
     interrupted run resumes.
     """
     from segloc.cli.console import note
+    from segloc.cli.recording import open_recording
     from segloc.config import validated
-    from segloc.errors import ConfigError
+    from segloc.system.processes import executing
 
+    from ..training.collect import Posed, collect_recordings, collect_worlds, draw_worlds
     from ..training.extract import ExtractConfig
-    from ..training.shards import finish
+    from ..training.shards import Session, finish
 
     if bool(sequences) == (simulate is not None):
         raise ConfigError("pass recordings, or worlds to --simulate, and not both")
@@ -125,96 +125,39 @@ def extract(
     settings = validated(ExtractConfig, values, "extraction")
     if simulate is not None:
         chosen = tuple(sensors.split(",")) if sensors else ()
-        drawn = {"length_m": drive, "sensors": chosen, "thin": thin}
-        done = _simulate(out.absolute(), simulate, drawn, settings, workers, cluster, config)
+        worlds = draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin)
+        segmentation = load_config(config, None, 1).segmentation
+        with executing(1, cluster) as executor:
+            done = collect_worlds(
+                out.absolute(),
+                worlds,
+                settings,
+                segmentation,
+                workers=workers,
+                progress=say,
+                executor=executor,
+            )
     else:
-        named = _Recordings(sequences or [], poses or [], select or [], topic, place, sensor)
-        alone = register or len(named.rows) == 1  # each is aligned with those before it
-        means = (1 if alone else workers, cluster)
-        done = named.collect(out.absolute(), settings, register, config, *means)
-    if not done:
-        note("nothing extracted")
-        return
-    _show(finish(out, done, settings.label), str(out))
-
-
-def _simulate(
-    out: Path,
-    simulate: str,
-    drawn: dict[str, Any],
-    settings: ExtractConfig,
-    workers: int,
-    cluster: str | None,
-    config: Path | None,
-) -> list[Session]:
-    from segloc.cli.options import load_config
-    from segloc.system.processes import executing
-
-    from ..training.collect import collect_worlds, draw_worlds
-
-    worlds = draw_worlds(simulate, settings.seed, **drawn)
-
-    segmentation = load_config(config, None, 1).segmentation
-    with executing(1, cluster) as executor:
-        return collect_worlds(
-            out, worlds, settings, segmentation, workers=workers, progress=say, executor=executor
-        )
-
-
-class _Recordings:
-    """Recordings of a command line."""
-
-    def __init__(
-        self,
-        sequences: list[Path],
-        poses: list[Path],
-        select: list[str],
-        topic: str | None,
-        place: str,
-        sensor: str,
-    ) -> None:
-        from segloc.errors import ConfigError
-
         if "--" in place or "/" in place or not place:
             raise ConfigError(f"{place!r} is not a valid name of a place")
-        count = len(sequences)
-        self.rows = list(
-            zip(
-                sequences,
-                each(poses, count, "--poses"),
-                each(select, count, "--select"),
-                strict=True,
-            )
+        count = len(sequences or [])
+        given = (
+            sequences or [],
+            each(poses or [], count, "--poses"),
+            each(select or [], count, "--select"),
         )
-        self.topic, self.place, self.sensor = topic, place, sensor
-
-    def collect(
-        self,
-        out: Path,
-        settings: ExtractConfig,
-        register: bool,
-        config: Path | None,
-        workers: int,
-        cluster: str | None,
-    ) -> list[Session]:
-        from segloc.cli.options import load_config
-        from segloc.cli.recording import open_recording
-        from segloc.system.processes import executing
-
-        from ..training.collect import Posed, collect_recordings
-        from ..training.shards import Session
-
         items = [
             Posed(
-                Session(self.place, f"{k:02d}-{path.resolve().name}", self.sensor),
-                open_recording(path, poses, select, topic=self.topic),
+                Session(place, f"{k:02d}-{path.resolve().name}", sensor),
+                open_recording(path, of_path, scans, topic=topic),
             )
-            for k, (path, poses, select) in enumerate(self.rows)
+            for k, (path, of_path, scans) in enumerate(zip(*given, strict=True))
         ]
         segmentation = load_config(config, None, 1).segmentation
-        with executing(workers, cluster) as executor:
-            return collect_recordings(
-                out,
+        alone = register or count == 1  # each is aligned with those before it
+        with executing(1 if alone else workers, cluster) as executor:
+            done = collect_recordings(
+                out.absolute(),
                 items,
                 settings,
                 segmentation,
@@ -222,6 +165,10 @@ class _Recordings:
                 progress=say,
                 executor=executor,
             )
+    if not done:
+        note("nothing extracted")
+        return
+    _show(finish(out, done, settings.label), str(out))
 
 
 def _show(counts: LabelCounts, title: str) -> None:
@@ -256,7 +203,6 @@ def pairs(
 
     Writes a dataset and DIR/pairs.csv: matching and different segments with their distances.
     """
-    from segloc.cli.console import say
     from segloc.cli.recording import open_recording
     from segloc.cli.results import check_folder
 
@@ -328,10 +274,8 @@ def score(
         list[int] | None,
         typer.Option(min=1, metavar="COUNT", help="Segments in the pool.", show_default="all"),
     ] = None,
-    threads: Annotated[
-        int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
-    ] = 1,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
+    threads: Threads = 1,
+    seed: Seed = 0,
 ) -> None:
     """Score a descriptor: ROC area, and recall of segments across sessions."""
     from segloc.cli.console import busy, note, table
@@ -366,10 +310,8 @@ def forest(
     ],
     dataset: Dataset,
     out: Annotated[Path, typer.Option(metavar="FOREST.safetensors", help="Output file.")],
-    threads: Annotated[
-        int, typer.Option(min=1, metavar="COUNT", help="Threads of the engine.")
-    ] = 1,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Random seed.")] = 0,
+    threads: Threads = 1,
+    seed: Seed = 0,
     licence: Annotated[
         str, typer.Option(metavar="NAME", help="Licence of the forest; stored in the file.")
     ] = "MIT",
@@ -441,8 +383,7 @@ def _add(network: str, help_text: str) -> None:
             ),
         ] = None,
         seed: Annotated[
-            int | None,
-            typer.Option(min=0, metavar="NUMBER", help="Random seed.", show_default="0"),
+            int | None, typer.Option(min=0, metavar="NUMBER", help="Random seed.", show_default="0")
         ] = None,
         licence: Annotated[
             str, typer.Option(metavar="NAME", help="Licence of the weights; stored in the file.")
