@@ -142,9 +142,7 @@ def shared_config(method: str, threads: int, segments_alone: bool = False) -> Co
 
 
 def build_maps(
-    recording: Recording,
-    descriptors: Mapping[str, Descriptor],
-    threads: int = 1,
+    recording: Recording, descriptors: Mapping[str, Descriptor], threads: int = 1
 ) -> dict[str, SegmentMap]:
     """Build the maps of several methods from the same segments; the first holds the cloud."""
     config = Config(threads=threads)

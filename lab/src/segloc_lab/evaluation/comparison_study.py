@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from .comparison import (
     place_of,
     ready,
 )
-from .scenario import OpenedScenario, Pair, PairScenario, QuerySet, Scenario
+from .scenario import OpenedScenario, QuerySet, Scenario
 from .study import Cell, Curve, Figure, Study, Table
 from .workspace import Workspace, load_arrays, load_json, save_arrays, save_json, store
 
@@ -106,12 +106,10 @@ def summaries(results: list[Result], methods: Methods, estimator: str) -> Iterat
 def _found(results: list[Result], methods: Methods, estimator: str) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for result in results:
-        facts = result.scenario.facts()
         for group in groups(result):
             sums = [_sums(result, name, group, estimator) for name in methods.names]
-            described = (label_of(result, group), facts.kind, facts.sensor)
             counts = (sums[0].queries, sums[0].places, *(each.cell() for each in sums))
-            rows.append((*described, *counts))
+            rows.append((label_of(result, group), *result.scenario.facts(), *counts))
     note = (
         "Queries localized correctly; in brackets, if any, those localized falsely. Places: "
         "queries within 3 m of the map's trajectory; some farther off are found, too. "
@@ -234,7 +232,7 @@ def details(results: list[Result], methods: Methods) -> Table:
             for name in methods.names:
                 for estimator in ESTIMATORS:
                     sums = _sums(result, name, group, estimator)
-                    rows.append((label_of(result, group), name, estimator, *_values(sums)))
+                    rows.append((label_of(result, group), name, estimator, *astuple(sums)))
     return Table(
         "details",
         "All counts",
@@ -246,20 +244,6 @@ def details(results: list[Result], methods: Methods) -> Table:
         tuple(rows),
         "Correct answers off the places are of queries more than 3 m from the map's trajectory.",
     )  # fmt: skip
-
-
-def _values(sums: _Sums) -> tuple[Cell, ...]:
-    return (
-        sums.queries,
-        sums.places,
-        sums.localized,
-        sums.right,
-        sums.right_at_places,
-        sums.false,
-        sums.negative_queries,
-        sums.false_on_negatives,
-        sums.error_m,
-    )
 
 
 Settings = dict[str, Any]
@@ -288,12 +272,6 @@ PLACES = ("map", "negative")
 _ARRAYS = "arrays.npz"
 
 Answers = dict[str, Any]
-
-
-def own_recordings(workspace: Workspace, pair: Pair) -> Study:
-    """Compare the methods on two recordings of the user."""
-    title = "Localization of your own recordings"
-    return compare(workspace, [PairScenario(pair)], "own", title)
 
 
 def compare(
@@ -480,13 +458,8 @@ class Piece:
     size: int
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A scenario ready for queries."""
-
-    query_sets: Mapping[str, QuerySet]
-    descriptors: Mapping[str, Descriptor]
-    places: Mapping[str, MappedPlace]
+Prepared = tuple[Mapping[str, QuerySet], Mapping[str, Descriptor], Mapping[str, MappedPlace]]
+"""Query sets, descriptors and places of a scenario that is ready for queries."""
 
 
 def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
@@ -550,9 +523,9 @@ def _piece_key(piece: Piece) -> tuple[str, dict[str, Any]]:
 
 
 def _answer(piece: Piece) -> Answers:
-    ready = _ready(piece.job)
-    part = _queries_of(ready.query_sets, piece.start, piece.size)
-    return comparison.localize_all(part, ready.descriptors, ready.places)
+    query_sets, descriptors, places = _ready(piece.job)
+    part = _queries_of(query_sets, piece.start, piece.size)
+    return comparison.localize_all(part, descriptors, places)
 
 
 _prepared: dict[Path, Prepared] = {}
@@ -561,13 +534,11 @@ large, so at most one is kept."""
 
 
 def _ready(job: Job) -> Prepared:
-    ready = _prepared.get(job.maps)
-    if ready is None:
+    if job.maps not in _prepared:
         _prepared.clear()
         opened = job.scenario.open()
-        ready = Prepared(opened.query_sets, job.descriptors(), _places(opened, job))
-        _prepared[job.maps] = ready
-    return ready
+        _prepared[job.maps] = opened.query_sets, job.descriptors(), _places(opened, job)
+    return _prepared[job.maps]
 
 
 def _places(opened: OpenedScenario, job: Job) -> dict[str, MappedPlace]:

@@ -11,11 +11,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, query_clouds
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.errors import DatasetError
 from segloc.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
 from segloc.pipeline import Search
 from segloc.types import Float64, LocalCloud, Matches, Pose
+
+from ..outcomes import TOLERANCE
 
 if TYPE_CHECKING:
     from segloc.frontend import Segmentation
@@ -55,10 +57,10 @@ class Case:
 
     Attributes
     ----------
+    index : int
         Scan number of the query.
-        The query's number in its sequence.
+    stage : str
         One of :data:`STAGES`: the first with too few items.
-        One of :data:`STAGES`: the first at which too little was left.
     detail : str
         Gate that rejected the pose, or "".
     segments : int
@@ -167,13 +169,15 @@ def _examine(
     repeated = tree.query(placed)[0] < REPEAT_RADIUS_M if len(placed) else np.empty(0, bool)
     matched = _matched(localizer.prior_map.centroids, found.matches, placed)
     nearest = [h for h in found.candidates if _same(h.T_map_local, T)]
-    held = _objects(centroids[repeated], localizer)
-    proposed = _objects(centroids[matched & repeated], localizer)
+    counts = (
+        len(centroids),
+        _objects(centroids[repeated], localizer),
+        _objects(centroids[matched & repeated], localizer),
+    )
     inliers = max((h.inliers for h in nearest), default=0)
-    stage = _stage(localizer, len(centroids), (held, proposed), bool(nearest), found, T)
-    reason = found.reason
-    detail = reason.value if reason is not None and stage == STAGES[-1] else ""
-    return Case(index, stage, detail, len(centroids), held, proposed, inliers, overlap, T.tolist())
+    stage = _stage(*counts, bool(nearest), found, T)
+    detail = found.reason.value if found.reason is not None and stage == STAGES[-1] else ""
+    return Case(index, stage, detail, *counts, inliers, overlap, T.tolist())
 
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
@@ -200,27 +204,18 @@ def _objects(centroids: Float64, localizer: Localizer) -> int:
 
 
 def _same(a: Pose, b: Pose) -> bool:
-    tolerance = Tolerance()
     delta = geometry.inverse(a) @ b
     turned = math.degrees(geometry.rotation_angle(delta))
-    return bool(np.linalg.norm(delta[:2, 3]) <= tolerance.metres and turned <= tolerance.degrees)
+    return bool(np.linalg.norm(delta[:2, 3]) <= TOLERANCE.metres and turned <= TOLERANCE.degrees)
 
 
-def _stage(
-    localizer: Localizer,
-    segments: int,
-    objects: tuple[int, int],
-    found: bool,
-    search: Search,
-    T: Pose,
-) -> str:
+def _stage(segments: int, repeated: int, matched: int, found: bool, search: Search, T: Pose) -> str:
     localized, falsely, few, unrepeated, unmatched, unfound, rejected = STAGES
     best = search.posterior.best
     if best is not None and search.reason is None:
         return localized if _same(best.T_map_local, T) else falsely
     if segments < MIN_SEGMENTS:
         return few
-    repeated, matched = objects
     if repeated < MIN_INLIERS:
         return unrepeated
     if matched < MIN_INLIERS:

@@ -51,14 +51,6 @@ class OpenedScenario:
     query_sets: dict[str, QuerySet]
 
 
-@dataclass(frozen=True)
-class Facts:
-    """Kind of place and sensor of a scenario, for tables."""
-
-    kind: str
-    sensor: str
-
-
 class Scenario(Protocol):
     """A map and its queries; small, to be passed to processes."""
 
@@ -70,7 +62,9 @@ class Scenario(Protocol):
         """Whether segments are the only proposer, so that only methods differ."""
         ...
 
-    def facts(self) -> Facts: ...
+    def facts(self) -> tuple[str, str]:
+        """Return the kind of place and the sensor, for tables."""
+        ...
 
     def settings(self) -> dict[str, Any]:
         """Return everything that affects :meth:`open`."""
@@ -119,16 +113,11 @@ class PairScenario:
 
     pair: Pair
 
-    @property
-    def name(self) -> str:
-        return "own"
+    name = "own"
+    segments_alone = False
 
-    @property
-    def segments_alone(self) -> bool:
-        return False  # with all proposers
-
-    def facts(self) -> Facts:
-        return Facts("own", "own")
+    def facts(self) -> tuple[str, str]:
+        return "own", "own"
 
     def settings(self) -> dict[str, Any]:
         opened = self.open()

@@ -163,11 +163,7 @@ class Workspace:
             return None
 
     def keep(
-        self,
-        name: str,
-        settings: Mapping[str, object],
-        value: T,
-        save: Callable[[T, Path], object],
+        self, name: str, settings: Mapping[str, object], value: T, save: Callable[[T, Path], object]
     ) -> None:
         """Store a part."""
         store(self.folder(name, settings), lambda path: save(value, path))

@@ -19,14 +19,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch import (
-    COVERAGE_RADIUS_M,
-    Tolerance,
-    distances_to_path,
-    pose_errors,
-    query_clouds,
-    query_positions,
-)
+from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
 from segloc.datasets import Sequence as Drive
 from segloc.descriptors import Descriptor, create
 from segloc.errors import DatasetError, SeglocError
@@ -47,6 +40,7 @@ from ..evaluation.comparison import (
 )
 from ..evaluation.scenario import MAX_GAP_M
 from ..kitti00 import keyframes, poses_of
+from ..outcomes import TOLERANCE, pose_error
 from ..report import Table, code, commit, mcnemar, share
 from .paper.published import LOCALIZATIONS
 
@@ -74,19 +68,10 @@ class Part:
     positions: Int64
     distances: Float64
 
-    def between(self, first: int, stop: int) -> Part:
-        """Return the same part with some of its queries."""
-        some = slice(first, stop)
-        return replace(self, positions=self.positions[some], distances=self.distances[some])
-
     @property
     def truths(self) -> Float64:
         """True poses of the queries, (N, 4, 4)."""
         return poses_of(self.queried)[self.positions]
-
-
-def _split(data: Path, first: int) -> tuple[Drive, Drive]:
-    return keyframes(data, f":{first - 1}"), keyframes(data, f"{first}:")
 
 
 def first_query(data: Path) -> int:
@@ -98,9 +83,10 @@ def first_query(data: Path) -> int:
 
 def test_part(data: Path) -> Part:
     """Return the last 1300 m, a query every 9.7 m, in the map of everything before."""
-    mapped, queried = _split(data, first_query(data))
+    first = first_query(data)
+    queried = keyframes(data, f"{first}:")
     positions = query_positions(poses_of(queried), EVERY_M, MAX_GAP_M)
-    return _part(mapped, queried, positions)
+    return _part(keyframes(data, f":{first - 1}"), queried, positions)
 
 
 def training_part(data: Path) -> Part:
@@ -140,6 +126,8 @@ MAP_THREADS = min(4, os.cpu_count() or 1)
 
 Answer = list[float | None]
 """Errors in metres and degrees (None: no answer, or no truth), and inliers."""
+Row = dict[str, Any]
+Rows = Sequence[Row]
 
 
 def verified_as(estimator: str, neighbours: int) -> str:
@@ -232,39 +220,25 @@ class Place:
 def _answer(T: Pose | None, truth: Pose, inliers: int) -> Answer:
     if T is None:
         return [None, None, inliers]
-    (metres,), (degrees,) = pose_errors(T[None], truth[None])
-    return [round(float(metres), 3), round(float(degrees), 3), inliers]
+    metres, degrees = pose_error(T, truth)
+    return [round(metres, 3), round(degrees, 3), inliers]
 
 
-@dataclass(frozen=True)
-class PosedQuery:
-    """One query, its truth, and the start of its rows."""
-
-    query: Query
-    truth: Pose
-    row: Mapping[str, Any]
-
-
-def queries(part: Part, descriptor: Descriptor) -> Iterator[PosedQuery]:
-    """Yield the queries of a part, accumulated, segmented and described."""
+def queries(part: Part, descriptor: Descriptor) -> Iterator[tuple[Query, Pose, Row]]:
+    """Yield the queries of a part, accumulated, segmented and described; truths, starts of rows."""
     config = Config()
     segmenter = Segmenter(config.segmentation)
     clouds = query_clouds(part.queried, part.positions, config)
     rows = zip(part.positions, part.distances, part.truths, strict=True)
     for (cloud, _), (position, distance, truth) in zip(clouds, rows, strict=True):
         scene = segmenter.segment(cloud)
-        row = {
-            "keyframe": int(part.queried.indices[position]),
-            "distance": round(float(distance), 2),
-        }
-        yield PosedQuery(Query(cloud, scene, descriptor.describe(scene.segments)), truth, row)
+        keyframe = int(part.queried.indices[position])
+        row = {"keyframe": keyframe, "distance": round(float(distance), 2)}
+        yield Query(cloud, scene, descriptor.describe(scene.segments)), truth, row
 
 
-TOLERANCE = Tolerance()
 BEYOND_M = 20.0
 """Queries farther from the mapped trajectory are negatives in the choice of K [m]."""
-
-Rows = Sequence[dict[str, Any]]
 
 
 def is_right(answer: Answer) -> bool:
@@ -318,8 +292,6 @@ def within_coverage(rows: Rows) -> list[bool]:
 QUERIES = 34
 """Queries per piece."""
 
-Row = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Piece:
@@ -366,13 +338,15 @@ class Piece:
         """Answer the remaining queries; builds the map if it is missing."""
         kept = _lines(self._path)
         self._path.write_text("".join(kept), "utf-8")
-        part = PARTS[self.part](self.data).between(self.first + len(kept), self.stop)
+        part = PARTS[self.part](self.data)
         built = prior_map(part.mapped, self.method, self.folder / f"{self.part}.segmap")
         place, verify = Place(built, self.method, self.draws), self.verify and self.part == "test"
-        for posed in queries(part, create(self.method, 1)):
-            row = {**posed.row, **place.unverified(posed.query, posed.truth)}
+        some = slice(self.first + len(kept), self.stop)
+        part = replace(part, positions=part.positions[some], distances=part.distances[some])
+        for query, truth, row in queries(part, create(self.method, 1)):
+            row |= place.unverified(query, truth)
             if verify:
-                row.update(place.verified(posed.query, posed.truth))
+                row |= place.verified(query, truth)
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         return self
@@ -382,12 +356,6 @@ def _lines(path: Path) -> list[str]:
     """Return the complete lines of a file."""
     lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
     return [line for line in lines if line.endswith("\n")]
-
-
-def spans(count: int) -> Iterator[tuple[int, int]]:
-    """Return the first query of each piece, and the one after its last."""
-    for first in range(0, count, QUERIES):
-        yield first, min(first + QUERIES, count)
 
 
 def finished(pieces: Sequence[Piece], executor: Executor | None) -> Iterator[Piece]:
@@ -437,11 +405,7 @@ class Kept:
     @classmethod
     def of(cls, method: str, folder: Path, verify: bool, draws: int) -> Kept:
         """Return the hash of the current code."""
-        produced: Answers = {
-            "method": fingerprint(method),
-            "code": code(),
-            "verified": verify,
-        }
+        produced: Answers = {"method": fingerprint(method), "code": code(), "verified": verify}
         if draws != DRAWS:
             produced["draws"] = draws
         return cls(method, folder, produced)
@@ -460,9 +424,9 @@ class Kept:
         self._work.mkdir(parents=True, exist_ok=True)
         posed = (bool(self.produced["verified"]), self.produced.get("draws", DRAWS))
         return [
-            Piece(self.method, part, first, stop, data, self._work, *posed)
+            Piece(self.method, part, first, min(first + QUERIES, count), data, self._work, *posed)
             for part, count in counts.items()
-            for first, stop in spans(count)
+            for first in range(0, count, QUERIES)
         ]
 
     def finish(self, pieces: Iterable[Piece]) -> None:

@@ -13,9 +13,8 @@ from segloc.map.segment_map import SegmentMap
 from segloc.types import LocalCloud
 
 
-@pytest.fixture(scope="module")
-def bench() -> timing.Bench:
-    """A map of one cloud of boxes, and that cloud as its query."""
+def test_every_stage_of_every_method_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a map of one cloud of boxes, with that cloud as its query."""
     rng = np.random.default_rng(0)
     boxes = [
         rng.uniform(0, 1, (400, 3)) * [2, 1, 3] + [*rng.uniform(-30, 30, 2), 0.2] for _ in range(20)
@@ -36,14 +35,8 @@ def bench() -> timing.Bench:
             stamp=0.0,
             cloud=scene.surface if name == "geo" else np.empty((0, 3)),
         )
-    return timing.Bench(maps, [cloud])
-
-
-def test_every_stage_of_every_method_is_timed(
-    bench: timing.Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr(timing, "MAP_SEGMENTS", 500)
-    times = timing.stage_times(bench, 1, 1)
+    times = timing.stage_times(maps, [cloud], 1, 1)
     assert set(times) == {"geo", "nsm", "esm"}
     for stages in times.values():
         assert set(STAGES) < set(stages) and all(ms >= 0 for ms in stages.values())

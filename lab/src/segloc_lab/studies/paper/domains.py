@@ -125,25 +125,10 @@ def simulated(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Make the segments of a simulated domain, unless they exist.
+    """Make the segments of a simulated domain below ``root``, unless they exist.
 
     What was made before an interruption is kept. The result depends neither on the number of
-    workers nor on interruptions.
-
-    Parameters
-    ----------
-    root : Path
-        Where datasets are kept.
-    domain : str
-        One of :data:`SIMULATED`.
-    seed : int
-        Another seed is other worlds.
-    workers : int
-        Processes that simulate.
-    executor : Executor, optional
-        What simulates in their place.
-    progress : callable
-        Called with (sessions done, sessions in all).
+    workers nor on interruptions. ``progress`` is called with (sessions done, sessions in all).
 
     Returns
     -------
@@ -189,21 +174,7 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
     """Make the segments of KITTI odometry 00, unless they exist; splits share no place.
 
     The passes over a place are aligned with each other, since the positions of the reference agree
-    to about a metre only.
-
-    Parameters
-    ----------
-    root : Path
-        Where datasets are kept.
-    data : Path
-        A folder with ``keyframes/`` and their T_world_sensor in ``keyframes.tum``.
-    say : callable
-        Takes a line for each pass.
-
-    Returns
-    -------
-    Path
-        The dataset, for :func:`segloc_lab.training.shards.load_dataset`.
+    to about a metre only. ``say`` takes a line for each pass.
     """
     if split not in SPLITS:
         raise ConfigError(f"no split {split!r} of {RECORDED}")
@@ -218,10 +189,7 @@ def recorded(root: Path, data: Path, split: str, *, say: Callable[[str], None] =
     sessions: list[Session] = []
     for place, passes in _PLACES[split].items():
         items = [
-            Posed(
-                Session(place, f"{k:02d}-keyframes", "hdl64e"),
-                kitti00.keyframes(data, select),
-            )
+            Posed(Session(place, f"{k:02d}-keyframes", "hdl64e"), kitti00.keyframes(data, select))
             for k, select in enumerate(passes)
         ]
         sessions += collect_recordings(

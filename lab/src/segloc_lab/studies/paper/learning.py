@@ -22,9 +22,11 @@ from segloc.errors import MissingDependency
 from segloc.system.processes import in_parallel
 
 from ...evaluation.comparison import QUALITY
+from ...evaluation.workspace import mute
 from ...training.config import TrainConfig
 from ...training.grow_forest import ForestConfig, train_forest
 from ...training.shards import INDEX, load_dataset
+from .workspace import Workspace
 
 NETWORKS = ("dsm", "esm", "segmap", "profile")
 FORESTS = ("segmatch-eigen", "segmatch-esf", "nsm")
@@ -102,11 +104,6 @@ class Training:
         name = f"{self.method}-{self.data.name}-{digest.hexdigest()[:8]}"
         return self.root / f"{name}.safetensors"
 
-    @property
-    def finished(self) -> bool:
-        """Return whether the weights exist."""
-        return self.out.exists()
-
 
 def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> TrainConfig:
     """Return the settings of a short training on one thread.
@@ -140,7 +137,7 @@ def trained(
     An interrupted training resumes. Each takes one thread, so results do not depend on the number
     of processes or the executor.
     """
-    missing = [each for each in trainings if not each.finished]
+    missing = [each for each in trainings if not each.out.exists()]
     if any(each.method in NETWORKS for each in missing):
         try:
             importlib.import_module("torch")
@@ -151,6 +148,14 @@ def trained(
     for done, _ in enumerate(in_parallel(_train, missing, workers, executor), start=1):
         progress(done, len(missing))
     return [each.out for each in trainings]
+
+
+def trained_in(workspace: Workspace, trainings: Sequence[Training]) -> list[Path]:
+    """Do :func:`trained` by the means of a workspace."""
+    with workspace.progress("Training") as update:
+        return trained(
+            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
+        )
 
 
 def _order(training: Training) -> int:
@@ -164,19 +169,15 @@ def _train(training: Training) -> None:
     dataset, config = load_dataset(training.data), training.config
     card = {"data": training.data.name, "licence": "for evaluation only"}
     if isinstance(config, ForestConfig):
-        train_forest(dataset, training.out, training.method, config, card, _silent)
+        train_forest(dataset, training.out, training.method, config, card, mute)
         return
     from ...training.train import train
 
-    train(dataset, training.out, config, card, _silent)
+    train(dataset, training.out, config, card, mute)
     training.out.with_suffix(".checkpoint").unlink()
 
 
-def _silent(_: str) -> None:
-    pass
-
-
-def load_method(method: str, weights: Path | None, threads: int = 1) -> Descriptor:
+def load_method(method: str, weights: Path | None) -> Descriptor:
     """Return a method with given weights, or with the shipped ones.
 
     Parameters
@@ -187,17 +188,17 @@ def load_method(method: str, weights: Path | None, threads: int = 1) -> Descript
         Of the network, or of the forest for a method that has one; None for what is shipped.
     """
     if weights is None or method == "geo":
-        return create(method, threads)
+        return create(method, 1)
     if method in FORESTS:
-        descriptor = create(method, threads)
+        descriptor = create(method, 1)
         descriptor.pruner = PairForest.load(weights, descriptor)
         return descriptor
     if method == "segmap":
-        return SegMapDescriptor(weights, threads)
+        return SegMapDescriptor(weights, 1)
     if method == "profile":
-        return ProfileDescriptor(weights, threads)
+        return ProfileDescriptor(weights, 1)
     judge: Judge = "pair" if method.endswith(QUALITY) else "nearest"
-    return PointSetDescriptor(method, weights, judge=judge, threads=threads)
+    return PointSetDescriptor(method, weights, judge=judge, threads=1)
 
 
 def source_of(method: str) -> str:

@@ -17,7 +17,7 @@ from segloc.types import Float64
 
 from ... import kitti00
 from ...evaluation.comparison_study import compare
-from ...evaluation.scenario import MAX_GAP_M, Facts, OpenedScenario, QuerySet, Scenario, folder_size
+from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, folder_size
 from ...evaluation.study import Study
 from ...simulation.suites import SIX, TestSet
 from . import published
@@ -36,16 +36,14 @@ class SuiteScenario:
     scale: str
     seed: int
 
+    segments_alone = True  # occupancy would find what a method loses
+
     @property
     def name(self) -> str:
         return self.test.name
 
-    @property
-    def segments_alone(self) -> bool:
-        return True  # occupancy would find what a method loses
-
-    def facts(self) -> Facts:
-        return Facts(self.test.kind, self.test.sensor)
+    def facts(self) -> tuple[str, str]:
+        return self.test.kind, self.test.sensor
 
     def settings(self) -> dict[str, Any]:
         every_m = self.test.every_m(self.scale) or EVERY_M[self.scale]
@@ -66,11 +64,9 @@ class SuiteScenario:
 
     def negative(self) -> Recording:
         """Return the drive of the other world's map."""
-        alone = replace(self.test, tests=self.test.tests[:1], length_m=self._session_length())
+        length_m = self.test.length_m / len(self.test.tests)
+        alone = replace(self.test, tests=self.test.tests[:1], length_m=length_m)
         return alone.sessions(self.scale, seed=self.seed + _NEGATIVE_SEED)["map"]
-
-    def _session_length(self) -> float:
-        return self.test.length_m / len(self.test.tests)
 
 
 def _published(recording: Recording, every_m: float) -> QuerySet:
@@ -109,16 +105,14 @@ class KittiScenario:
     scale: str
     seed: int
 
+    segments_alone = True
+
     @property
     def name(self) -> str:
         return "kitti00-later" if self.later else "kitti00"
 
-    @property
-    def segments_alone(self) -> bool:
-        return True
-
-    def facts(self) -> Facts:
-        return Facts("Urban, real", "hdl64e")
+    def facts(self) -> tuple[str, str]:
+        return "Urban, real", "hdl64e"
 
     def settings(self) -> dict[str, Any]:
         folders = [self.data, self.data / "keyframes", self.data / "scans"]
@@ -146,9 +140,6 @@ def scenarios(workspace: Workspace) -> Sequence[Scenario]:
 
 
 def run(workspace: Workspace) -> Study:
-    """Localize the queries of all scenarios of a workspace.
-
-    See :func:`scenarios`.
-    """
+    """Localize the queries of all scenarios of a workspace; see :func:`scenarios`."""
     found = scenarios(workspace)
     return compare(workspace, found, "localization", "Localization", [published.localizations()])

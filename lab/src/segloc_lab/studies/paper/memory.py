@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from segloc.descriptors.pointset import DSM_LAYERS, ESM_LAYERS, Layer
 from segloc.errors import MissingDependency
 
@@ -22,9 +20,7 @@ BATCH = 64
 PUBLISHED_LESS = 70
 """GPU memory of DSM less than that of ESM, as published [%]."""
 
-_DESCRIBED = 300
-_DISTINCT = 300
-_LAYERS: dict[str, tuple[Layer, ...]] = {"dsm": DSM_LAYERS, "esm": ESM_LAYERS}
+_DESCRIBED, _REPEATS = 300, 3
 _TEXT = """\
 DSM is ESM with fewer points in its inner layers, and takes less memory for it: the paper reports \
 70 % less of a GPU's for the same batch. What training keeps from the forward to the backward pass \
@@ -32,41 +28,33 @@ is counted tensor by tensor, so that figure is the same on every machine; the pe
 and the time of a step are those of this one."""
 
 
-def run(workspace: Workspace, *, batch: int = BATCH, repeats: int = 3) -> Study:
-    """Measure a training step of DSM and of ESM, each in a fresh process.
-
-    Parameters
-    ----------
-    batch : int
-        Segments.
-    repeats : int
-        Of timed steps; the median counts.
-    """
+def run(workspace: Workspace) -> Study:
+    """Measure a training step of DSM and of ESM, each in a fresh process."""
     if optional("torch") is None:
         raise MissingDependency("torch", "lab", "measuring training")
     start = time.monotonic()
-    works: dict[str, tuple[Callable[..., float], tuple[int, ...]]] = {
-        "kept for the backward pass, MB": (saved_mb, (batch,)),
-        "peak of the process, MB": (training_peak_mb, (batch,)),
-        "forward and backward, ms": (step_ms, (batch, repeats)),
-        f"describing {_DESCRIBED} segments, peak, MB": (inference_mb, (_DESCRIBED, 1)),
+    works: dict[str, Callable[[Sequence[Layer]], float]] = {
+        "kept for the backward pass, MB": saved_mb,
+        "peak of the process, MB": training_peak_mb,
+        "forward and backward, ms": step_ms,
+        f"describing {_DESCRIBED} segments, peak, MB": inference_mb,
     }
     rows: list[tuple[Cell, ...]] = []
     with workspace.progress("Measuring memory") as update:
-        for done, (name, (work, arguments)) in enumerate(works.items()):
+        for done, (name, work) in enumerate(works.items()):
             update(done, len(works))
-            dsm, esm = (in_process(1, work, x, *arguments) for x in _LAYERS.values())
+            dsm, esm = (in_process(1, work, layers) for layers in (DSM_LAYERS, ESM_LAYERS))
             less = round(100 * (1 - dsm / esm), 1) if esm > 0 else None
             rows.append((name, round(dsm, 1), round(esm, 1), less))
     facts = workspace.facts(time.monotonic() - start, {})
-    tables = (_table(rows, batch), _published())
+    tables = (_table(rows), _published())
     return Study(NAME, "Memory of training", tables, (), facts, _TEXT)
 
 
-def _table(rows: list[tuple[Cell, ...]], batch: int) -> Table:
+def _table(rows: list[tuple[Cell, ...]]) -> Table:
     columns = ("", "DSM", "ESM", "less, %")
     note = (
-        f"A batch of {batch} segments in single precision, one thread. The layers of both are read "
+        f"A batch of {BATCH} segments in single precision, one thread. The layers of both are read "
         "from the paper's parameter counts: of ESM it does not say how many points each layer "
         "keeps, and here the first two keep all 256."
     )
@@ -79,16 +67,16 @@ def _published() -> Table:
                  "Section Runtime; without absolute figures.", "paper")  # fmt: skip
 
 
-def inference_mb(layers: Sequence[Layer], segments: int = 300, threads: int = 1) -> float:
+def inference_mb(layers: Sequence[Layer]) -> float:
     """Return the peak memory of describing segments, beyond segments and weights."""
-    prepared = np.tile(prepared_segments(_DISTINCT), (-(-segments // _DISTINCT), 1, 1))[:segments]
+    prepared = prepared_segments(_DESCRIBED)
     engine = build(layers, random_tensors(layers))
-    return rise_mb(lambda: engine.describe(prepared, threads))
+    return rise_mb(lambda: engine.describe(prepared, 1))
 
 
-def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
+def saved_mb(layers: Sequence[Layer]) -> float:
     """Return the activations that PyTorch keeps for the backward pass, each storage once."""
-    torch, model, points = _training(layers, batch)
+    torch, model, points = _training(layers)
     sizes: dict[int, int] = {}
     kept: list[Any] = []
 
@@ -104,21 +92,21 @@ def saved_mb(layers: Sequence[Layer], batch: int = 100) -> float:
     return sum(size for address, size in sizes.items() if address not in weights) / 1e6
 
 
-def training_peak_mb(layers: Sequence[Layer], batch: int = 100) -> float:
+def training_peak_mb(layers: Sequence[Layer]) -> float:
     """Return the peak memory of the process in one forward and backward pass."""
-    _, model, points = _training(layers, batch)
+    _, model, points = _training(layers)
     return rise_mb(lambda: model(points).square().sum().backward())
 
 
-def step_ms(layers: Sequence[Layer], batch: int = 100, repeats: int = 3) -> float:
+def step_ms(layers: Sequence[Layer]) -> float:
     """Return the median time of a forward and backward pass on one thread [ms]."""
-    torch, model, points = _training(layers, batch)
+    torch, model, points = _training(layers)
     torch.set_num_threads(1)
     work = {"step": lambda: model(points).square().sum().backward()}
-    return interleaved(work, 1, repeats)["step"]
+    return interleaved(work, 1, _REPEATS)["step"]
 
 
-def _training(layers: Sequence[Layer], batch: int) -> tuple[Any, Any, Any]:
+def _training(layers: Sequence[Layer]) -> tuple[Any, Any, Any]:
     from ...training.models import DescriptorNetwork
 
     found = optional("torch")
@@ -126,4 +114,4 @@ def _training(layers: Sequence[Layer], batch: int) -> tuple[Any, Any, Any]:
     torch = found[0]
     torch.manual_seed(0)
     model = DescriptorNetwork(layers, DIM).train()
-    return torch, model, torch.from_numpy(prepared_segments(batch))
+    return torch, model, torch.from_numpy(prepared_segments(BATCH))

@@ -8,16 +8,7 @@ from __future__ import annotations
 
 from ...evaluation.study import Table
 
-METHODS = (
-    "segmatch-eigen",
-    "segmatch-esf",
-    "nsm",
-    "segmap",
-    "esm",
-    "esm-fq",
-    "dsm",
-    "dsm-fq",
-)
+METHODS = ("segmatch-eigen", "segmatch-esf", "nsm", "segmap", "esm", "esm-fq", "dsm", "dsm-fq")
 """Our names of SM-Eig, SM-ESF, NSM-RF, SegMap, ESM, ESM-FQ, DSM, DSM-FQ."""
 
 GENERALIZATION: tuple[tuple[str, str, tuple[float, ...]], ...] = (

@@ -50,12 +50,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
             curve = transfer.curve(method, domain, domain)
             if curve is not None:
                 curves[domain][method] = curve
-    tables = (
-        _areas(transfer, curves),
-        _published(),
-        _details(curves),
-        _judges(transfer, curves),
-    )
+    tables = (_areas(transfer, curves), _published(), _details(curves), _judges(transfer, curves))
     figures = tuple(_figure(domain, found) for domain, found in curves.items())
     facts = workspace.facts(time.monotonic() - start, transfer.fingerprints)
     facts["steps"] = dict(transfer.plan.effort.steps)

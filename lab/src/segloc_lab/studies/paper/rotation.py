@@ -18,7 +18,7 @@ from segloc.types import Float32, Float64, Segments
 from ...evaluation.study import Cell, Figure, Study, Table
 from ...training.config import AugmentConfig
 from .domains import Domains, DomainSize
-from .learning import Training, load_method, network_config, trained
+from .learning import Training, load_method, network_config, trained_in
 from .pairs import described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace
 
@@ -65,21 +65,6 @@ PLANS = {"small": Plan(250, 300, 2_000), "full": Plan(1500, 1000, 10_000)}
 """By scale: three minutes of one core and ten for the trainings."""
 
 
-@dataclass(frozen=True)
-class Deviation:
-    """Change of descriptors as segments turn.
-
-    Attributes
-    ----------
-    degrees : (A,) float64
-    delta : (A, P) float64
-        Of each segment at each angle; see :func:`deviation`.
-    """
-
-    degrees: Float64
-    delta: Float64
-
-
 def turned(segments: Segments, degrees: float) -> Segments:
     """Turn segments about the vertical axis through the origin."""
     turn = yaw_transform(np.radians(degrees))[:3, :3]
@@ -87,10 +72,8 @@ def turned(segments: Segments, degrees: float) -> Segments:
     return Segments(points, segments.offsets, segments.centroids @ turn.T, segments.heights)
 
 
-def deviation(
-    describe: Callable[[Segments], Float32], segments: Segments, degrees: Float64 = DEGREES
-) -> Deviation:
-    """Return delta = d(c_n, c_0) / Z of every segment at every angle n.
+def deviation(describe: Callable[[Segments], Float32], segments: Segments) -> Float64:
+    """Return delta = d(c_n, c_0) / Z of every segment at every angle n of :data:`DEGREES`, (A, P).
 
     ``c_n`` is the descriptor of the segment turned by n degrees, and Z the mean distance between
     the descriptors of all pairs of different segments (section Rotation Variation).
@@ -101,15 +84,15 @@ def deviation(
         Segments to vectors (P, dim).
     segments : Segments
         At least two.
-    degrees : (A,) float64
     """
     still = describe(segments).astype(np.float64)
     scale = _mean_distance(still)
-    rows = [
-        np.linalg.norm(describe(turned(segments, float(angle))) - still, axis=1) / scale
-        for angle in degrees
-    ]
-    return Deviation(np.asarray(degrees, dtype=np.float64), np.stack(rows))
+    return np.stack(
+        [
+            np.linalg.norm(describe(turned(segments, float(angle))) - still, axis=1) / scale
+            for angle in DEGREES
+        ]
+    )
 
 
 def _mean_distance(vectors: Float64) -> float:
@@ -134,7 +117,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     some = np.sort(rng.permutation(len(dataset))[: plan.segments])
     segments = dataset.segments(some)
     pairs = labelled_pairs(dataset, limit=plan.pairs, seed=workspace.seed)
-    found: dict[str, Deviation] = {}
+    found: dict[str, Float64] = {}
     rows: list[tuple[Cell, ...]] = []
     with workspace.progress("Turning segments") as update:
         for done, (name, descriptor) in enumerate(descriptors.items()):
@@ -172,10 +155,7 @@ def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, De
         )
         for alignment, yaw in variants
     ]
-    with workspace.progress("Training") as update:
-        weights = trained(
-            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
-        )
+    weights = trained_in(workspace, trainings)
     result = {
         _name(*variant): load_method("dsm", path)
         for variant, path in zip(variants, weights, strict=True)
@@ -183,9 +163,9 @@ def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, De
     return result | {f"{name}, as shipped": create(name, 1) for name in _UNTRAINED}
 
 
-def _summary(found: Deviation) -> tuple[Cell, ...]:
+def _summary(delta: Float64) -> tuple[Cell, ...]:
     """Return the mean over angles and segments, the 95 % quantile, and the worst angle's mean."""
-    moved = found.delta[(found.degrees % 360) != 0]
+    moved = delta[(DEGREES % 360) != 0]
     return (
         round(float(moved.mean()), 4),
         round(float(np.quantile(moved, 0.95)), 4),
@@ -203,16 +183,13 @@ def _table(rows: list[tuple[Cell, ...]], plan: Plan) -> Table:
     return Table("rotation", "Mean deviation under rotation", columns, tuple(rows), note)
 
 
-def _figure(found: Mapping[str, Deviation], augmented: bool) -> Figure:
+def _figure(found: Mapping[str, Float64], augmented: bool) -> Figure:
     series = {
-        _WORDS[alignment]: (
-            found[_name(alignment, augmented)].degrees,
-            found[_name(alignment, augmented)].delta.mean(axis=1),
-        )
+        _WORDS[alignment]: (DEGREES, found[_name(alignment, augmented)].mean(axis=1))
         for alignment in _ALIGNMENTS
     }
     # Both drawings to one scale, or the smaller deviations would look like the larger ones.
-    most = max(float(each.delta.mean(axis=1).max()) for each in found.values())
+    most = max(float(each.mean(axis=1).max()) for each in found.values())
     title = "Trained with random turns" if augmented else "Trained without random turns"
     name = f"rotation_{'augmented' if augmented else 'plain'}"
     return Figure(name, title, "polar", series, "degrees", "delta", top=1.05 * most)

@@ -20,7 +20,7 @@ from ...training.config import Sampler
 from ...training.dataset import SegmentDataset
 from ...training.metrics import score
 from .domains import Domains, DomainSize
-from .learning import Training, network_config, trained
+from .learning import Training, network_config, trained_in
 from .pairs import Described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace
 
@@ -119,10 +119,7 @@ def _rows(
         )
         for sampler in _SAMPLERS
     ]
-    with workspace.progress("Training") as update:
-        weights = trained(
-            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
-        )
+    weights = trained_in(workspace, trainings)
     dataset = domains.dataset(DOMAIN, "test").limited(plan.segments, workspace.seed)
     pairs = labelled_pairs(dataset, limit=plan.pairs, seed=workspace.seed)
     rows: list[tuple[Cell, ...]] = []

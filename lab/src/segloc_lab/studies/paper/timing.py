@@ -6,7 +6,6 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -47,22 +46,6 @@ _REPEATS = {"small": 3, "full": 9}
 
 Times = dict[str, dict[str, float]]
 Source = Callable[[], tuple[Recording, list[LocalCloud]]]
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Amounts of timing.
-
-    Attributes
-    ----------
-    maps : dict of method to SegmentMap
-        Of the same segments; the first holds the cloud of all.
-    clouds : list of LocalCloud
-        The queries.
-    """
-
-    maps: Mapping[str, SegmentMap]
-    clouds: Sequence[LocalCloud]
 
 
 def run(workspace: Workspace) -> Study:
@@ -115,36 +98,37 @@ def _clouds(scenario: SuiteScenario | KittiScenario) -> tuple[Recording, list[Lo
 
 
 def _measured(
-    source: Source,
-    descriptors: Mapping[str, Descriptor],
-    workspace: Workspace,
+    source: Source, descriptors: Mapping[str, Descriptor], workspace: Workspace
 ) -> dict[str, Any]:
     recording, clouds = source()
-    bench = Bench(build_maps(recording, descriptors), clouds)
+    maps = build_maps(recording, descriptors)
     repeats, cores = _REPEATS[workspace.effort], os.cpu_count() or 1
-    times: dict[str, Any] = {"one core": in_process(1, stage_times, bench, 1, repeats)}
+    times: dict[str, Any] = {"one core": in_process(1, stage_times, maps, clouds, 1, repeats)}
     if cores > 1:
-        times[f"{cores} cores"] = in_process(cores, stage_times, bench, cores, repeats)
+        times[f"{cores} cores"] = in_process(cores, stage_times, maps, clouds, cores, repeats)
     segmenter = Segmenter()
     scenes = [segmenter.segment(cloud) for cloud in clouds]
     return {
         "times": times,
         "segments": statistics.median(len(scene.segments) for scene in scenes),
-        "map": len(next(iter(bench.maps.values()))),
+        "map": len(next(iter(maps.values()))),
         "queries": len(clouds),
     }
 
 
-def stage_times(bench: Bench, threads: int, repeats: int) -> Times:
+def stage_times(
+    maps: Mapping[str, SegmentMap], clouds: Sequence[LocalCloud], threads: int, repeats: int
+) -> Times:
     """Return the median time of every stage by method [ms]; methods take turns.
 
-    With one thread the time is the processor's, which other work on the machine disturbs less.
+    The maps are of the same segments; the first holds the cloud of all. With one thread the time is
+    the processor's, which other work on the machine disturbs less.
     """
     clock = clock_for(threads)
-    place = _padded_place(bench.maps, threads)
+    place = _padded_place(maps, threads)
     samples: dict[str, list[dict[str, float]]] = {name: [] for name in place.localizers}
     for repeat in range(repeats + 1):
-        for cloud in bench.clouds:
+        for cloud in clouds:
             for name, localizers in place.localizers.items():
                 sample = _stage_ms(localizers, cloud, clock)
                 if repeat:  # the first round warms up
@@ -177,9 +161,7 @@ def _stage_ms(
 
 
 def time_table(
-    label: str,
-    measured: Mapping[str, Any],
-    descriptors: Mapping[str, Descriptor],
+    label: str, measured: Mapping[str, Any], descriptors: Mapping[str, Descriptor]
 ) -> Table:
     """Return one row per method and processor."""
     rows = [

@@ -5,18 +5,30 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from segloc.descriptors.base import Descriptor
 from segloc.errors import ConfigError, WeightsError
 from segloc.system.processes import in_parallel
+from segloc.types import Float64
 
 from ...evaluation.comparison import METHODS
 from ...evaluation.comparison import fingerprint as shipped_fingerprint
 from ...evaluation.workspace import mute, silent
 from ...training.shards import INDEX
 from .domains import RECORDED, SIZES, Domains, DomainSize
-from .learning import EFFORTS, FORESTS, NETWORKS, Effort, Training, load_method, source_of, trained
+from .learning import (
+    EFFORTS,
+    FORESTS,
+    NETWORKS,
+    Effort,
+    Training,
+    load_method,
+    source_of,
+    trained,
+    trained_in,
+)
 from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores, roc, trust_scores
 from .workspace import Workspace
 
@@ -96,9 +108,7 @@ class Transfer:
             for method in dict.fromkeys(map(source_of, self.methods))
             if method in (*NETWORKS, *FORESTS)
         ]
-        with self.workspace.progress("Training") as update:
-            space = self.workspace
-            trained(wanted, workers=space.workers, executor=space.executor, progress=update)
+        trained_in(self.workspace, wanted)
 
     def score(self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()) -> None:
         """Compute all curves of each (source, test), in parallel if there are processes.
@@ -110,12 +120,12 @@ class Transfer:
         if space.workers == 1 and space.executor is None:
             return
         alone = replace(space, progress=silent, say=mute, workers=1, executor=None)
-        tasks = [_Cell(alone, self.plan, *cell, tuple(trusted)) for cell in cells]
+        work = partial(_score, alone, self.plan, tuple(trusted))
         with space.progress("Scoring pairs") as update:
-            update(0, len(tasks))
-            found = in_parallel(_score, tasks, space.workers, space.executor)
+            update(0, len(cells))
+            found = in_parallel(work, cells, space.workers, space.executor)
             for done, _ in enumerate(found, start=1):
-                update(done, len(tasks))
+                update(done, len(cells))
 
     def curve(self, method: str, source: str, test: str) -> Roc | None:
         """Return the ROC of a method trained on ``source`` on the pairs of ``test``.
@@ -123,22 +133,18 @@ class Transfer:
         None where there is nothing to tell: weights that are not shipped.
         """
 
-        def compute(descriptor: Descriptor) -> Roc | None:
-            scores = pair_scores(self._describe(descriptor, test), descriptor.pruner)
-            return roc(scores, self.pairs(test), seed=self.workspace.seed)
+        def scores(descriptor: Descriptor) -> Float64:
+            return pair_scores(self._describe(descriptor, test), descriptor.pruner)
 
-        return self._cached("roc", method, source, test, compute)
+        return self._cached("roc", method, source, test, scores)
 
     def trust(self, method: str, source: str, test: str) -> Roc | None:
         """Return the same for the order of candidate matches; None without a quality."""
 
-        def compute(descriptor: Descriptor) -> Roc | None:
-            scores = trust_scores(self._describe(descriptor, test))
-            if scores is None:
-                return None
-            return roc(scores, self.pairs(test), seed=self.workspace.seed)
+        def scores(descriptor: Descriptor) -> Float64 | None:
+            return trust_scores(self._describe(descriptor, test))
 
-        return self._cached("trust", method, source, test, compute)
+        return self._cached("trust", method, source, test, scores)
 
     def pairs(self, test: str) -> Pairs:
         """Return the labelled pairs of a test set."""
@@ -170,7 +176,7 @@ class Transfer:
         method: str,
         source: str,
         test: str,
-        compute: Callable[[Descriptor], Roc | None],
+        scores: Callable[[Descriptor], Float64 | None],
     ) -> Roc | None:
         weights = self._weights(method, source)
         try:
@@ -189,6 +195,12 @@ class Transfer:
             "seed": self.workspace.seed,
         }
 
+        def compute() -> Roc | None:
+            found = scores(descriptor)
+            if found is None:
+                return None
+            return roc(found, self.pairs(test), seed=self.workspace.seed)
+
         def save(curve: Roc | None, path: Path) -> None:
             if curve is None:
                 path.touch()
@@ -199,7 +211,7 @@ class Transfer:
             return Roc.load(path) if path.stat().st_size else None
 
         name = f"{kind}-{method}-{source}-{test}"
-        return self.workspace.cached(name, settings, lambda: compute(descriptor), save, load)
+        return self.workspace.cached(name, settings, compute, save, load)
 
     def _describe(self, descriptor: Descriptor, test: str) -> Described:
         key = descriptor.fingerprint, test
@@ -209,24 +221,13 @@ class Transfer:
         return self._described[key]
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """Compute the curves of all methods for one training set and one test set."""
-
-    workspace: Workspace
-    plan: Plan
-    source: str
-    test: str
-    trusted: tuple[str, ...]
-
-
-def _score(cell: _Cell) -> None:
-    """Compute the curves of a cell in any process."""
-    transfer = Transfer(cell.workspace, cell.plan)
+def _score(workspace: Workspace, plan: Plan, trusted: Sequence[str], cell: tuple[str, str]) -> None:
+    """Compute the curves of all methods for one (source, test), in any process."""
+    transfer = Transfer(workspace, plan)
     for method in transfer.methods:
-        transfer.curve(method, cell.source, cell.test)
-    for method in cell.trusted:
-        transfer.trust(method, cell.source, cell.test)
+        transfer.curve(method, *cell)
+    for method in trusted:
+        transfer.trust(method, *cell)
 
 
 def _fingerprint(descriptor: Descriptor, method: str, weights: Path | None) -> str:

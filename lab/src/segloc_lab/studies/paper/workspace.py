@@ -73,15 +73,7 @@ class Workspace(workspace.Workspace):
         return {**super().facts(seconds, fingerprints), **own}
 
 
-STUDIES = (
-    "roc",
-    "generalization",
-    "rotation",
-    "sampling",
-    "localization",
-    "timing",
-    "memory",
-)
+STUDIES = ("roc", "generalization", "rotation", "sampling", "localization", "timing", "memory")
 """Each is run by the module of its name in this package."""
 
 
