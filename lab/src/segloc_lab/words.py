@@ -46,13 +46,12 @@ def counts(root: Path, files: Iterable[str]) -> list[int]:
 
 def counted(root: Path, other: Path) -> Table:
     """Return the counts of two trees, folder by folder."""
-    rows = [(name, *map(_beside, counts(other, f), counts(root, f))) for name, f in TREES.items()]
+    rows = [
+        (name, *map("{}, {}".format, counts(other, files), counts(root, files)))
+        for name, files in TREES.items()
+    ]
     columns = (p.replace("(?:", "(").replace("|", " or ") for p in PATTERNS)
     return Table(("files", *columns), rows, "The count in the other tree, then the count now.")
-
-
-def _beside(before: int, now: int) -> str:
-    return f"{before}, {now}"
 
 
 def _texts(path: Path, tree: ast.Module) -> Iterator[Place]:

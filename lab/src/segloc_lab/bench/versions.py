@@ -10,7 +10,7 @@ import tempfile
 import time
 import zipfile
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,37 +70,37 @@ def commands(against: Path | None) -> Iterator[dict[str, Command]]:
         yield found
 
 
-class Worker:
-    """One version of segloc, in a process of its own."""
-
-    def __init__(self, command: Command, process: subprocess.Popen[str]) -> None:
-        self._command, self._process = command, process
-
-    def measure(self, path: Path) -> dict[str, Any]:
-        """Return the version, the milliseconds of each stage for a file, and counts of answers."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        with suppress(BrokenPipeError):
-            print(path, file=self._process.stdin, flush=True)
-        line = self._process.stdout.readline()
-        if not line:
-            raise SeglocError(f"{self._command[0]}: the worker ended; is segloc installed there?")
-        found: dict[str, Any] = json.loads(line)
-        return found
+Measure = Callable[[Path], dict[str, Any]]
+"""Returns the version, the milliseconds of each stage for a file, and counts of answers."""
 
 
 @contextmanager
-def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -> Iterator[Worker]:
-    """Start a worker for one kind of work; its imports are those of its interpreter alone."""
+def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -> Iterator[Measure]:
+    """Start a version of segloc for one kind of work, in a process of its own.
+
+    Its imports are those of its interpreter alone.
+    """
     environment, pipe = {**os.environ, **thread_variables(threads)}, subprocess.PIPE
     where = [] if prior_map is None else ["--map", str(prior_map)]
     given = [*command, work.kind, "--threads", str(threads), *where]
     with subprocess.Popen(given, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
+        stdin, stdout = process.stdin, process.stdout
+        assert stdin is not None and stdout is not None
+
+        def measure(path: Path) -> dict[str, Any]:
+            with suppress(BrokenPipeError):
+                print(path, file=stdin, flush=True)
+            line = stdout.readline()
+            if not line:
+                raise SeglocError(f"{command[0]}: the worker ended; is segloc installed there?")
+            found: dict[str, Any] = json.loads(line)
+            return found
+
         try:
-            yield Worker(command, process)
+            yield measure
         finally:
-            assert process.stdin is not None
             with suppress(BrokenPipeError):  # of a worker that ended
-                process.stdin.close()
+                stdin.close()
 
 
 @dataclass
@@ -141,8 +141,8 @@ def in_turns(
         }
         paths = [write(folder / f"{i}.npz", each) for i, each in enumerate(work.inputs)]
         for path in paths:
-            for name, each in workers.items():
-                found = each.measure(path)
+            for name, measured_by in workers.items():
+                found = measured_by(path)
                 measured[name].version = found["version"]
                 measured[name].counts.update(found["counts"])
         start = time.monotonic()
@@ -150,8 +150,8 @@ def in_turns(
             if done >= _MIN_ROUNDS and time.monotonic() - start > BUDGET_S:
                 break
             for path in paths:
-                for name, each in workers.items():
-                    for stage, ms in each.measure(path)["ms"].items():
+                for name, measured_by in workers.items():
+                    for stage, ms in measured_by(path)["ms"].items():
                         measured[name].ms[stage].append(ms)
     return measured
 

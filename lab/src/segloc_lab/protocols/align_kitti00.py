@@ -25,9 +25,10 @@ from segloc import Config, geometry
 from segloc.frontend import Accumulator, window
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.system import kernels
-from segloc.types import Float32, Float64, Int64, Pose, Recording
+from segloc.types import Float32, Float64, Pose, Recording
 
 from ..kitti00 import keyframes, poses_of
+from ..outcomes import pose_error
 from ..report import Table, publish, reporting
 from ..simulation import OdometryNoise
 from ..training.session_registration import Registration
@@ -105,22 +106,16 @@ def errors(truth: list[Reposed], found: Alignment) -> Errors:
     return result
 
 
-def false_loops(truth: list[Reposed], found: Alignment) -> int:
-    """Return accepted loops that disagree with the ground truth."""
-    where: list[dict[int, int]] = [
-        {int(n): k for k, n in enumerate(recording.indices)} for recording in truth
-    ]
+def false_loops(
+    pose: Callable[[int, int], Pose], found: Alignment, most_deg: float = np.inf
+) -> int:
+    """Return accepted loops that disagree with the true poses, by session and number of a scan."""
     count = 0
-    rows: Iterator[tuple[Int64, Int64]] = zip(found.loop_sessions, found.loop_scans, strict=True)
-    for loop, (sessions, scans) in zip(found.loops, rows, strict=True):
-        ends = [
-            geometry.levelled(truth[s].poses[where[s][int(n)]])
-            for s, n in zip(sessions, scans, strict=True)
-        ]
-        delta = geometry.inverse(geometry.inverse(ends[0]) @ ends[1]) @ loop.T_target_source
-        far = np.linalg.norm(delta[:3, 3]) > FALSE_M
-        turned = np.degrees(geometry.rotation_angle(delta)) > FALSE_DEG
-        count += bool(loop.accepted and (far or turned))
+    rows = zip(found.loops, found.loop_sessions.tolist(), found.loop_scans.tolist(), strict=True)
+    for loop, sessions, scans in rows:
+        a, b = (geometry.levelled(pose(s, n)) for s, n in zip(sessions, scans, strict=True))
+        metres, degrees = pose_error(loop.T_target_source, geometry.inverse(a) @ b)
+        count += bool(loop.accepted and (metres > FALSE_M or degrees > most_deg))
     return count
 
 
@@ -166,7 +161,8 @@ def main() -> None:
     rng = np.random.default_rng(args.seed)
     sessions = [drifted(each.source, each.poses, rng) for each in truth]
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
-    false = false_loops(truth, found)
+    where = [{int(n): k for k, n in enumerate(each.indices)} for each in truth]
+    false = false_loops(lambda s, n: truth[s].poses[where[s][n]], found, FALSE_DEG)
     tell("Three sessions of KITTI 00 aligned", found, false, errors(truth, found), args.report)
 
 

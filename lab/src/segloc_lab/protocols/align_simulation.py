@@ -20,7 +20,7 @@ from segloc.types import Float64
 
 from ..report import reporting
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
-from .align_kitti00 import FALSE_M, Errors, drifted, off, pairs_across, tell, timed
+from .align_kitti00 import Errors, drifted, false_loops, off, pairs_across, tell, timed
 
 
 def errors(truths: list[Float64], found: Alignment) -> Errors:
@@ -39,17 +39,6 @@ def errors(truths: list[Float64], found: Alignment) -> Errors:
                 ]
                 result[a, b] = np.array(rows).reshape(-1, 2)
     return result
-
-
-def false_loops(truths: list[Float64], found: Alignment) -> int:
-    """Return accepted loops that disagree with the truth."""
-    count = 0
-    rows = zip(found.loops, found.loop_sessions, found.loop_scans, strict=True)
-    for loop, sessions, scans in rows:
-        a, b = (geometry.levelled(truths[s][n]) for s, n in zip(sessions, scans, strict=True))
-        delta = geometry.inverse(geometry.inverse(a) @ b) @ loop.T_target_source
-        count += bool(loop.accepted and np.linalg.norm(delta[:3, 3]) > FALSE_M)
-    return count
 
 
 def main() -> None:
@@ -77,7 +66,8 @@ def main() -> None:
     found = align_sessions(sessions, Config(threads=args.threads), AlignConfig(), timed)
     truths = [drive.truth for drive in drives]
     title = f"{args.sessions} simulated sessions aligned: {args.scene}"
-    tell(title, found, false_loops(truths, found), errors(truths, found), args.report)
+    false = false_loops(lambda s, n: truths[s][n], found)
+    tell(title, found, false, errors(truths, found), args.report)
 
 
 if __name__ == "__main__":
