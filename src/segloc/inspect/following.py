@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import SeglocError
 from ..types import Float64, Pose
 from .pictures import GREEN, ORANGE, PATH, RED, rgb
+from .results import parsed, pose_of
 from .scene import MapScene
 
 STATES, SO_FAR, NEWEST = "states.jsonl", "so_far.jsonl", "newest.npy"
 """All states of a finished run; during a run the states so far, and above-ground points of the
 newest scan."""
-COLOURS = {
-    "lost": rgb(RED),
-    "candidate": rgb(ORANGE),
-    "degraded": rgb(ORANGE),
-    "localized": rgb(GREEN),
-}
+_COLOURS = {"lost": RED, "candidate": ORANGE, "degraded": ORANGE, "localized": GREEN}
 _ABOVE_M = 1.0
 _MAX_POINTS = 100_000
 
@@ -69,26 +65,21 @@ def read_moments(folder: Path) -> list[Moment]:
             continue
         except OSError as error:
             raise SeglocError(f"{file}: cannot be read ({error.strerror or error})") from error
-        return [_moment(file, number, line) for number, line in enumerate(lines, 1)]
+        return parsed(_moment, lines, file)
     raise SeglocError(f"{folder}: no results of `segloc live --out`")
 
 
-def _moment(file: Path, number: int, line: str) -> Moment:
-    try:
-        record = json.loads(line)
-        pose, state = record["T_map_base"], str(record["state"])
-        T = None if pose is None else np.array(pose, dtype=np.float64).reshape(4, 4)
-        text = (
-            f"**scan {int(record['index'])}: {state}**\n\n{record['reason'] or 'no problems'}\n\n"
-            f"- confidence {float(record['confidence']):.2f}\n"
-            f"- {int(record['views'])} views agree\n"
-            f"- {float(record['travelled_m']):.1f} m travelled"
-        )
-        if record["latency_ms"] is not None:
-            text += f"\n- after {float(record['latency_ms']):.0f} ms"
-        return Moment(int(record["index"]), state, text, T)
-    except (ValueError, KeyError, TypeError) as error:
-        raise SeglocError(f"{file}: line {number}: damaged ({error})") from error
+def _moment(record: Any) -> Moment:
+    index, state = int(record["index"]), str(record["state"])
+    text = (
+        f"**scan {index}: {state}**\n\n{record['reason'] or 'no problems'}\n\n"
+        f"- confidence {float(record['confidence']):.2f}\n"
+        f"- {int(record['views'])} views agree\n"
+        f"- {float(record['travelled_m']):.1f} m travelled"
+    )
+    if record["latency_ms"] is not None:
+        text += f"\n- after {float(record['latency_ms']):.0f} ms"
+    return Moment(index, state, text, pose_of(record["T_map_base"]))
 
 
 def newest_points(folder: Path) -> Float64 | None:
@@ -110,7 +101,7 @@ def draw_moments(scene: MapScene, moments: Sequence[Moment], points: Float64 | N
         return
     lift = np.array([0.0, 0.0, _ABOVE_M])
     path = scene.local(np.array([T[:3, 3] + lift for T, _ in placed]))
-    colours = np.array([COLOURS.get(state, rgb(PATH)) for _, state in placed], dtype=np.uint8)
+    colours = np.array([rgb(_COLOURS.get(state, PATH)) for _, state in placed], np.uint8)
     scene.points("robot", "/robot/path", path[:-1], colours[:-1], 0.5)
     scene.points("robot", "/robot/now", path[-1:], colours[-1:], 1.5)
     if points is not None:

@@ -74,13 +74,7 @@ def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
 
 
 def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
-    """Return a caption and a PNG image for each stage with something to show.
-
-    Raises
-    ------
-    MissingDependency
-        If matplotlib is not installed.
-    """
+    """Return a caption and a PNG image for each stage with something to show."""
     drawn: list[tuple[str, Callable[[Axes], None]]] = [
         ("Ground (grey) and above-ground points", lambda axes: _ground(axes, trace)),
         ("Segments by colour", lambda axes: _segments(axes, trace)),

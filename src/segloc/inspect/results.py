@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import json
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..errors import SeglocError
 from ..types import Float32, Int64, Pose
 from .trace import Trace, steps, summarize
 
+Parsed = TypeVar("Parsed")
 Outcome = Literal["found", "refused", "false"]
 DEBUG = "debug"
 """Subfolder of stored stages, one file per query."""
@@ -60,7 +62,7 @@ class Shown:
     outcome: Outcome
     text: str
     T_map_sensor: Pose | None
-    stages: Stages | None
+    stages: Stages | None = None
 
 
 def read_results(folder: Path) -> list[Shown]:
@@ -76,27 +78,42 @@ def read_results(folder: Path) -> list[Shown]:
         lines = file.read_text("utf-8").splitlines()
     except OSError as error:
         raise SeglocError(f"{folder}: no results of `segloc localize --out` ({error})") from error
-    return [_shown(folder, file, number, line) for number, line in enumerate(lines, 1)]
+    return [
+        replace(query, stages=unpack(stored.read_bytes(), str(stored)))
+        if (stored := folder / DEBUG / f"{query.index}.npz").is_file()
+        else query
+        for query in parsed(_shown, lines, file)
+    ]
 
 
-def _shown(folder: Path, file: Path, number: int, line: str) -> Shown:
-    try:
-        record = json.loads(line)
-        index, confidence = int(record["index"]), float(record["confidence"])
-        pose = record["T_map_sensor"]
-        T = None if pose is None else np.array(pose, dtype=np.float64).reshape(4, 4)
-        message, correct = str(record["message"]), record.get("correct")
-    except (ValueError, KeyError, TypeError) as error:
-        raise SeglocError(f"{file}: line {number}: damaged ({error})") from error
+def parsed(parse: Callable[[Any], Parsed], lines: Sequence[str], file: Path) -> list[Parsed]:
+    """Parse the records of a file, one per line.
+
+    Raises
+    ------
+    SeglocError
+        If a record is damaged; names its line.
+    """
+    found = []
+    for number, line in enumerate(lines, 1):
+        try:
+            found.append(parse(json.loads(line)))
+        except (ValueError, KeyError, TypeError) as error:
+            raise SeglocError(f"{file}: line {number}: damaged ({error})") from error
+    return found
+
+
+def pose_of(rows: Any) -> Pose | None:
+    """Return a pose of 4 rows, or None."""
+    return None if rows is None else np.array(rows, dtype=np.float64).reshape(4, 4)
+
+
+def _shown(record: Any) -> Shown:
+    index, confidence = int(record["index"]), float(record["confidence"])
+    T, message = pose_of(record["T_map_sensor"]), str(record["message"])
+    correct = record.get("correct")
     outcome: Outcome = "refused" if T is None else "false" if correct is False else "found"
-    stored = folder / DEBUG / f"{index}.npz"
-    return Shown(
-        index,
-        outcome,
-        f"{message or 'localized'} (confidence {confidence:.2f})",
-        T,
-        unpack(stored.read_bytes(), str(stored)) if stored.is_file() else None,
-    )
+    return Shown(index, outcome, f"{message or 'localized'} (confidence {confidence:.2f})", T)
 
 
 @dataclass(frozen=True)
@@ -232,8 +249,8 @@ def unpack(data: bytes, where: str) -> Stages:
             summary=str(entries["verdict"]),
             lines=tuple(map(str, entries["lines"])),
             localized=bool(entries["localized"]),
-            T_map_local=_pose(entries["T_map_local"]),
-            T_map_other=_pose(entries["T_map_other"]),
+            T_map_local=pose_of(entries["T_map_local"]),
+            T_map_other=pose_of(entries["T_map_other"]),
             on_map=_bits(arrays["on_map"], len(points["points"])),
             inliers=_bits(arrays["inliers"], len(points["centroids"])),
             segment_of=arrays["segment_of"].astype(np.int64),
@@ -246,10 +263,6 @@ def unpack(data: bytes, where: str) -> Stages:
     if lengths != (len(query.segment_points), len(query.centroids)):
         raise SeglocError(f"{where}: damaged (arrays of different lengths)")
     return query
-
-
-def _pose(rows: object) -> Pose | None:
-    return None if rows is None else np.array(rows, dtype=np.float64).reshape(4, 4)
 
 
 def _bits(packed_bits: NDArray[np.uint8], count: int) -> NDArray[np.bool_]:

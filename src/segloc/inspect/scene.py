@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,11 @@ from .results import Outcome, Shown, Stages
 
 Colors = NDArray[np.uint8]
 
-COLORS: dict[Outcome, tuple[int, int, int]] = {
-    "found": rgb(GREEN),
-    "refused": rgb(ORANGE),
-    "false": rgb(RED),
-}
+COLOURS: dict[Outcome, str] = {"found": GREEN, "refused": ORANGE, "false": RED}
 FIXED = ("map", "path", "queries")
 ROBOT = ("map", "path", "robot")
 OF_QUERY = ("cloud", "segments", "matches that agree", "other matches", "runner-up", "text")
 """Layers that can be hidden: of the map, of a map with a robot, of the selected query."""
-_GREEN, _RED, _GREY, _BLUE = rgb(GREEN), rgb(RED), rgb(PATH), rgb(BLUE)
 _LOW, _HIGH = np.array([126.0, 140, 168]), np.array([228.0, 222, 204])
 _MAX_POINTS = 400_000
 _BREAK_M = 35.0  # poses farther apart are not connected
@@ -34,24 +29,16 @@ _MARKER_M = 0.4  # points larger than this are markers
 _ABOVE_M = 3.0  # height of markers above the trajectory
 
 
-class SceneApi(Protocol):
-    """Part of viser's scene that is used."""
-
-    def add_point_cloud(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
-    def add_line_segments(self, name: str, points: Any, colors: Any, **style: Any) -> Any: ...
-    def add_label(self, name: str, text: str, **style: Any) -> Any: ...
-
-
 class MapScene:
     """Draw a map and queries, relative to the map's origin.
 
     Parameters
     ----------
-    api : SceneApi
+    api : viser.SceneApi
     prior_map : SegmentMap
     """
 
-    def __init__(self, api: SceneApi, prior_map: SegmentMap) -> None:
+    def __init__(self, api: Any, prior_map: SegmentMap) -> None:
         self._api, self._map = api, prior_map
         self.layers: dict[str, list[Any]] = {name: [] for name in (*FIXED, "robot", *OF_QUERY)}
         self._hidden: set[str] = set()
@@ -80,11 +67,11 @@ class MapScene:
         path = (self._map.trajectory[:, :3, 3] - self._map.origin).astype(np.float32)
         pairs = np.stack([path[:-1], path[1:]], axis=1)
         near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < _BREAK_M
-        self.lines("path", "/map/path", pairs[near], np.array(_BLUE), 0.25)
+        self.lines("path", "/map/path", pairs[near], BLUE, 0.25)
 
     def draw_queries(self, queries: Sequence[Shown]) -> None:
         """Draw a marker per query by outcome; rejected ones at the best pose, if stored."""
-        for outcome, color in COLORS.items():
+        for outcome, colour in COLOURS.items():
             places = [
                 place
                 for query in queries
@@ -92,8 +79,7 @@ class MapScene:
             ]
             if places:
                 points = np.array(places, dtype=np.float32) + np.array([0, 0, _ABOVE_M], np.float32)
-                colors = np.tile(np.array(color, np.uint8), (len(points), 1))
-                self.points("queries", f"/queries/{outcome}", points, colors, 1.2)
+                self.points("queries", f"/queries/{outcome}", points, _all(colour, points), 1.2)
 
     def _place(self, query: Shown) -> Float64 | None:
         T = query.T_map_sensor
@@ -127,25 +113,22 @@ class MapScene:
         def placed(points: Float32) -> Float32:
             return (geometry.transform(T, points) - self._map.origin).astype(np.float32)
 
-        off = ~stages.on_map
-        red = np.tile(np.array(_RED, np.uint8), (int(off.sum()), 1))
-        self.points("cloud", "/query/off_map", placed(stages.points[off]), red, 0.18)
-        green = np.tile(np.array(_GREEN, np.uint8), (int((~off).sum()), 1))
-        self.points("cloud", "/query/on_map", placed(stages.points[~off]), green, 0.18)
+        for name, chosen, colour in (("off", ~stages.on_map, RED), ("on", stages.on_map, GREEN)):
+            points = placed(stages.points[chosen])
+            self.points("cloud", f"/query/{name}_map", points, _all(colour, points), 0.18)
         lifted = placed(stages.segment_points)
         self.points("segments", "/query/segments", lifted, _distinct(stages.segment_of), 0.26)
         known = stages.matched < len(self._map.centroids)
         there = (self._map.centroids[stages.matched[known]] - self._map.origin).astype(np.float32)
         lines = np.stack([placed(stages.centroids[known]), there], axis=1)
         fits = stages.inliers[known]
-        self.lines("other matches", "/query/other_matches", lines[~fits], np.array(_GREY), 0.04)
+        self.lines("other matches", "/query/other_matches", lines[~fits], PATH, 0.04)
         lines = lines.copy()
         lines[:, 0, 2] += 6.0  # nearly upright, so that inliers stand out
-        self.lines("matches that agree", "/query/inliers", lines[fits], np.array(_GREEN), 0.3)
+        self.lines("matches that agree", "/query/inliers", lines[fits], GREEN, 0.3)
         if stages.T_map_other is not None:
             other = (stages.T_map_other[:3, 3] - self._map.origin).astype(np.float32)[None]
-            red_one = np.array([_RED], np.uint8)
-            self.points("runner-up", "/query/runner_up", other, red_one, 1.5)
+            self.points("runner-up", "/query/runner_up", other, _all(RED, other), 1.5)
             name = "/query/runner_up_label"
             self._keep("runner-up", self._api.add_label(name, "runner-up", position=other[0]))
 
@@ -165,18 +148,21 @@ class MapScene:
             handle = self._api.add_point_cloud(name, points[mixed], colors[mixed], **style)
             self._keep(layer, handle)
 
-    def lines(
-        self, layer: str, name: str, lines: Float32, color: NDArray[Any], width: float
-    ) -> None:
+    def lines(self, layer: str, name: str, lines: Float32, colour: str, width: float) -> None:
         """Add lines (N, 2, 3) in the scene's frame to a layer."""
         if len(lines):
-            colors = np.broadcast_to(color.astype(np.uint8), (len(lines), 2, 3)).copy()
+            colors = np.tile(np.array(rgb(colour), np.uint8), (len(lines), 2, 1))
             handle = self._api.add_line_segments(name, lines, colors, thickness=width)
             self._keep(layer, handle)
 
     def _keep(self, layer: str, handle: Any) -> None:
         handle.visible = layer not in self._hidden
         self.layers[layer].append(handle)
+
+
+def _all(colour: str, points: Float32) -> Colors:
+    """Return one colour for all points."""
+    return np.tile(np.array(rgb(colour), np.uint8), (len(points), 1))
 
 
 def _by_height(points: Float32) -> Colors:

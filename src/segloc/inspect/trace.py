@@ -241,16 +241,18 @@ def _poses(trace: Trace) -> str:
     return f"{counted(count, 'candidates')}; {best}"
 
 
+def pose_text(T: Pose) -> str:
+    """Format position and heading with units."""
+    x, y, z = (float(v) for v in T[:3, 3])
+    yaw = math.degrees(geometry.heading(T))
+    return f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw {yaw:.1f} deg"
+
+
 def summarize(trace: Trace) -> str:
     """Return one sentence on the result, with advice if there is no pose."""
     result = trace.result
     if result.localized:
-        x, y, z = result.T_map_sensor[:3, 3]
-        yaw = math.degrees(geometry.heading(result.T_map_sensor))
-        return (
-            f"localized at x {x:.2f}, y {y:.2f}, z {z:.2f} m, "
-            f"yaw {yaw:.1f} deg (confidence {result.confidence:.2f})"
-        )
+        return f"localized at {pose_text(result.T_map_sensor)} (confidence {result.confidence:.2f})"
     assert result.reason is not None
     if result.reason is Reason.TOO_UNCERTAIN:
         return f"not localized, {result.message}: {_uncertain(trace)}"

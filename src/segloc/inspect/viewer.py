@@ -1,12 +1,15 @@
-"""View a map and queries in the browser: by a server with a panel, or one file with a slider."""
+"""View a map and queries in the browser: by a server with a panel, or one file with a slider.
+
+All need viser, and raise ``MissingDependency`` without it.
+"""
 
 from __future__ import annotations
 
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from html import escape
 from io import StringIO
 from pathlib import Path
@@ -21,14 +24,13 @@ from ..map.segment_map import SegmentMap
 from ..system.text import counted
 from ..types import Float64
 from .following import Moment, draw_moments, newest_points, read_moments
-from .pictures import DARK, GREEN, ORANGE, RED
-from .results import Outcome, Shown
-from .scene import FIXED, OF_QUERY, ROBOT, MapScene
+from .pictures import DARK
+from .results import Shown
+from .scene import COLOURS, FIXED, OF_QUERY, ROBOT, MapScene
 
 SECONDS_A_QUERY = 2.0
 _EVERY_S = 0.5
 _BACK_M, _UP_M, _IN_VIEW_M = 45.0, 60.0, 95.0
-_COLOURS: dict[Outcome, str] = {"found": GREEN, "refused": ORANGE, "false": RED}
 
 LEGEND = (
     "Dots: queries found (green), refused (orange), false (red). Cloud: on the map (green), not on "
@@ -150,14 +152,8 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
     """Return one self-contained page: the map with all queries, and a slider for details.
 
     The slider covers the queries with stored stages, or else all.
-
-    Raises
-    ------
-    MissingDependency
-        If viser is not installed.
     """
-    server = _server("127.0.0.1", 0)
-    try:
+    with _temporary_server() as server:
         scene = MapScene(server.scene, prior_map)
         shown = _in_detail(queries)
         _look_at_all(server, scene, shown)
@@ -167,11 +163,8 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
         for query in shown:
             scene.draw_query(query)
             recorded.insert_sleep(SECONDS_A_QUERY)
-        page = drawn_fast(str(recorded.as_html()))
-        return with_panel(page, shown, SECONDS_A_QUERY) if shown else page
-    finally:
-        with redirect_stdout(StringIO()):
-            server.stop()
+        page = _drawn_fast(str(recorded.as_html()))
+        return _with_panel(page, shown) if shown else page
 
 
 def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
@@ -184,13 +177,11 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
 
     Raises
     ------
-    MissingDependency
-        If viser is not installed.
     SeglocError
         If the port is in use.
     """
-    server = _server("127.0.0.1", port)
-    draw_fast(server)
+    server = _server(port)
+    _draw_fast(server)
     shown = _in_detail(queries)
     scene = _map_in_view(server, prior_map, shown[0] if shown else None)
     scene.draw_queries(queries)
@@ -211,25 +202,24 @@ def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
 
     Raises
     ------
-    MissingDependency
-        If viser is not installed.
     SeglocError
         If the port is in use, or the folder is not an output of ``segloc live``.
     """
     read_moments(folder)
-    server = _server("127.0.0.1", port)
-    draw_fast(server)
+    server = _server(port)
+    _draw_fast(server)
     scene = _map_in_view(server, prior_map)
     text = server.gui.add_markdown("")
     server.gui.add_markdown(ROBOT_LEGEND)
     _add_layers(server, scene, ROBOT)
-    shown: list[int] = []
+    shown = -1
 
     def refresh() -> None:
+        nonlocal shown
         moments = read_moments(folder)
-        if shown == [len(moments)]:
+        if shown == len(moments):
             return
-        shown[:] = [len(moments)]
+        shown = len(moments)
         with server.atomic():
             draw_moments(scene, moments, newest_points(folder))
         text.content = moments[-1].text if moments else "no results yet"
@@ -251,22 +241,12 @@ def _keep_on(server: Any, refresh: Callable[[], None]) -> None:
 
 
 def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
-    """Return one self-contained page: the map, and the robot's trajectory.
-
-    Raises
-    ------
-    MissingDependency
-        If viser is not installed.
-    """
-    server = _server("127.0.0.1", 0)
-    try:
+    """Return one self-contained page: the map, and the robot's trajectory."""
+    with _temporary_server() as server:
         scene = _map_in_view(server, prior_map)
         draw_moments(scene, moments)
-        page = drawn_fast(str(server.get_scene_serializer().as_html()))
-        return with_states(page, [moment.state for moment in moments])
-    finally:
-        with redirect_stdout(StringIO()):
-            server.stop()
+        page = _drawn_fast(str(server.get_scene_serializer().as_html()))
+        return _with_states(page, [moment.state for moment in moments])
 
 
 def _map_in_view(server: Any, prior_map: SegmentMap, query: Shown | None = None) -> MapScene:
@@ -338,7 +318,7 @@ def _look(server: Any, scene: MapScene, query: Shown | None) -> None:
 
 
 def _look_at_all(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
-    """Return a camera position with all queries in view."""
+    """Point the camera so that all queries are in view."""
     _look(server, scene, queries[0] if queries else None)
     if len(queries) < 2:
         return
@@ -356,25 +336,37 @@ def _from(scene: MapScene, query: Shown | None) -> tuple[Float64, Float64]:
     return middle + np.array([0.0, -_BACK_M, _UP_M]), middle
 
 
-def _server(host: str, port: int) -> Any:
+def _server(port: int) -> Any:
+    """Start a server on this machine only."""
     try:
         import viser
     except ImportError as error:
         raise MissingDependency("viser", "view", "viewing") from error
     try:
         with redirect_stdout(StringIO()):  # it prints even in quiet mode
-            return viser.ViserServer(host=host, port=port, verbose=False)
+            return viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     except OSError as error:
         raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
 
 
-def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
-    """Add a panel to a page of viser's player, with queries shown for ``seconds`` each."""
+@contextmanager
+def _temporary_server() -> Iterator[Any]:
+    """Start a server to draw a page with."""
+    server = _server(0)
+    try:
+        yield server
+    finally:
+        with redirect_stdout(StringIO()):
+            server.stop()
+
+
+def _with_panel(page: str, queries: Sequence[Shown]) -> str:
+    """Add a panel to a page of viser's player, with queries for ``SECONDS_A_QUERY`` each."""
     records = [
         {
             "index": query.index,
             "outcome": query.outcome,
-            "colour": _COLOURS[query.outcome],
+            "colour": COLOURS[query.outcome],
             "summary": query.text if shown is None else shown.summary,
             "stages": [] if shown is None else [line.split(": ", 1) for line in shown.steps],
             "parts": [] if shown is None else [line.split(" ", 1) for line in shown.parts],
@@ -383,11 +375,10 @@ def with_panel(page: str, queries: Sequence[Shown], seconds: float) -> str:
         for shown in (query.stages,)
     ]
     text = json.dumps(records).replace("<", "\\u003c")  # escape the end of the script
-    panel = _PANEL.substitute(queries=text, seconds=seconds, legend=LEGEND)
-    return _with(page, panel)
+    return _with(page, _PANEL.substitute(queries=text, seconds=SECONDS_A_QUERY, legend=LEGEND))
 
 
-def with_states(page: str, states: Sequence[str]) -> str:
+def _with_states(page: str, states: Sequence[str]) -> str:
     """Add counts of states to a page of a robot."""
     rows = "".join(
         f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
@@ -404,14 +395,14 @@ def _with(page: str, panel: str) -> str:
     return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"
 
 
-def drawn_fast(page: str) -> str:
+def _drawn_fast(page: str) -> str:
     """Add scripts to a viser page that draw many points faster."""
     head, start, tail = page.partition("<head>")
     added = f"<script>{_SHARP}{_THINNED}</script>"
     return f"{head}{start}{added}{tail}" if start else page
 
 
-def draw_fast(server: Any) -> None:
+def _draw_fast(server: Any) -> None:
     """Thin moving clouds in the pages of a viser server, if its version supports it."""
     with suppress(ImportError, AttributeError):
         from viser._messages import RunJavascriptMessage
