@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from .options import Method
+from . import options
 
 
 def config(
-    method: Method = None,
+    method: options.Method = None,
     every: Annotated[
         bool,
         typer.Option("--all", help="Also print the settings that the confidence was fitted with."),

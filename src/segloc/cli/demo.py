@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .console import number, progress, table
+
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
     from ..localizer import Localizer
@@ -31,7 +33,6 @@ def demo(
     from ..config import Config
     from ..localizer import Localizer
     from ..map.build import build_map
-    from .console import progress
     from .results import check_folder, write_results
 
     check_folder(out)
@@ -52,7 +53,6 @@ def demo(
 def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: float) -> Evaluation:
     from ..batch.run import localize_sequence, query_positions
     from ..batch.score import Evaluation
-    from .console import progress
 
     gap = localizer.config.local_cloud.max_gap_m
     positions = query_positions(drive.poses, QUERY_EVERY_M, gap)
@@ -64,8 +64,6 @@ def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: flo
 
 
 def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:
-    from .console import number, table
-
     def row(name: str, count: Callable[[dict[str, Any]], int | str]) -> tuple[str, str, str]:
         return name, str(count(again)), str(count(other))
 

@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..system.text import counted
-from .options import ConfigFile, Poses, Recording, Sample, Select, Topic, load_config
+from . import options
+from .console import busy
 
 if TYPE_CHECKING:
     from ..doctor import Examinable, Examination
 
 
 def doctor(
-    sequence: Recording,
-    poses: Poses = None,
-    select: Select = None,
-    topic: Topic = None,
-    sample: Sample = 20,
-    config: ConfigFile = None,
+    sequence: options.Recording,
+    poses: options.Poses = None,
+    select: options.Select = None,
+    topic: options.Topic = None,
+    sample: options.Sample = 20,
+    config: options.ConfigFile = None,
 ) -> None:
     """Check a recording and suggest fixes; exits 1 if anything is wrong.
 
@@ -51,10 +52,9 @@ def examined(
 
     from ..datasets import open_sequence
     from ..doctor import Examinable, examine
-    from .console import busy
     from .recording import place_of_sensor
 
-    local_cloud = load_config(config, None, 1).local_cloud
+    local_cloud = options.load_config(config, None, 1).local_cloud
     T = place_of_sensor(local_cloud.mount)
     opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
     recording = cast(Examinable, opened)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import ConfigFile, Poses, Threads, Topic, Weights, open_localizer
+from ..errors import ConfigError
+from . import options
+from .console import busy
 
 if TYPE_CHECKING:
     from ..frontend.local_cloud import LocalCloudConfig
@@ -31,11 +33,11 @@ def explain(
             show_default="the last",
         ),
     ] = None,
-    poses: Poses = None,
-    topic: Topic = None,
-    config: ConfigFile = None,
-    weights: Weights = None,
-    threads: Threads = 0,
+    poses: options.Poses = None,
+    topic: options.Topic = None,
+    config: options.ConfigFile = None,
+    weights: options.Weights = None,
+    threads: options.Threads = 0,
 ) -> None:
     """Show the stages of one query, and why it is or is not localized.
 
@@ -47,13 +49,12 @@ def explain(
     from ..inspect import trace
     from ..map.segment_map import SegmentMap
     from ..system.files import checked_target
-    from .console import busy
     from .recording import open_recording
 
     if html is not None:
         checked_target(html)
     with busy("Loading the map"):
-        localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+        localizer = options.open_localizer(SegmentMap.load(prior_map), config, threads, weights)
     local = localizer.config.local_cloud
     recording = open_recording(scan, poses, topic=topic, mount=local.mount)
     position = _position(recording, select)
@@ -73,8 +74,6 @@ def explain(
 
 
 def _position(recording: Recording, number: int | None) -> int:
-    from ..errors import ConfigError
-
     if number is None:
         return len(recording) - 1
     found = [i for i, index in enumerate(recording.indices) if index == number]

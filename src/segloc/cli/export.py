@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ..errors import ConfigError
+from .console import busy, note
+
 EpsgOfLines = Annotated[
     int | None,
     typer.Option(
@@ -69,7 +72,6 @@ def export(
     from ..export.formats import Options
     from ..export.nav2 import GridOptions
     from ..export.tracks import Place
-    from .console import busy, note
 
     grid = GridOptions(resolution, *_slice(heights))
     place = None if at is None else Place.parse(at)
@@ -81,8 +83,6 @@ def export(
 
 
 def _slice(text: str) -> tuple[float, float]:
-    from ..errors import ConfigError
-
     try:
         low, high = (float(part) for part in text.split(","))
     except ValueError as error:

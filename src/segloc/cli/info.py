@@ -5,19 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ..system.text import counted
-from .options import ConfigFile, Poses, Recording, Sample, Select, Topic
+from . import options
+from .console import number, table
 
 if TYPE_CHECKING:
     from ..doctor import Examinable, Examination
 
 
 def info(
-    sequence: Recording,
-    poses: Poses = None,
-    select: Select = None,
-    topic: Topic = None,
-    sample: Sample = 20,
-    config: ConfigFile = None,
+    sequence: options.Recording,
+    poses: options.Poses = None,
+    select: options.Select = None,
+    topic: options.Topic = None,
+    sample: options.Sample = 20,
+    config: options.ConfigFile = None,
 ) -> None:
     """Show facts about a recording, and its problems."""
     from .doctor import examined, show_pose_files
@@ -31,7 +32,6 @@ def info(
 def show(recording: Examinable, examination: Examination) -> None:
     """Print a recording's facts as a table, followed by its problems."""
     from ..datasets.inspection import UNUSABLE
-    from .console import number, table
     from .doctor import show_findings
 
     found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)

@@ -7,91 +7,67 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from .options import (
-    ConfigFile,
-    Degrees,
-    Deskew,
-    Level,
-    Metres,
-    Odometry,
-    Recording,
-    Select,
-    Threads,
-    Topic,
-    Truth,
-    Weights,
-    open_localizer,
-)
+from ..errors import ConfigError
+from . import options
+from .console import note, number, progress, say, table
 
 if TYPE_CHECKING:
     from ..live import State
     from ..live.replay import Replay
     from ..types import Recording as Scans
 
-    OnState = Callable[[int, State], None]
-
 
 _DEADLINE_MS = 1000.0
-
-OdometryPoses = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Odometry, TUM or KITTI, in any frame.",
-        show_default="the recording's",
-    ),
-]
-
-Rate = Annotated[
-    float,
-    typer.Option(
-        min=0,
-        metavar="FACTOR",
-        help="Speed: 1 replays in real time and drops late scans; 0 waits for every scan.",
-    ),
-]
 _EVERY_S = 1.0
 _VOXEL_M = 0.3
 
 
-QueryEvery = Annotated[
-    float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
-]
-PoseFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--pose-file",
-        metavar="FILE",
-        help="File of the last pose: checked first, then kept up to date.",
-        show_default="none",
-    ),
-]
-
-
 def live(
-    sequence: Recording,
+    sequence: options.Recording,
     prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")],
-    poses: OdometryPoses = None,
-    select: Select = None,
-    truth: Truth = None,
-    tolerance_m: Metres = 2.0,
-    tolerance_deg: Degrees = 10.0,
-    rate: Rate = 0.0,
-    every: QueryEvery = 10.0,
-    pose_file: PoseFile = None,
-    topic: Topic = None,
-    deskew: Deskew = True,
-    odometry: Odometry = False,
-    level: Level = False,
-    config: ConfigFile = None,
-    weights: Weights = None,
-    threads: Threads = 0,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Odometry, TUM or KITTI, in any frame.",
+            show_default="the recording's",
+        ),
+    ] = None,
+    select: options.Select = None,
+    truth: options.Truth = None,
+    tolerance_m: options.Metres = 2.0,
+    tolerance_deg: options.Degrees = 10.0,
+    rate: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            metavar="FACTOR",
+            help="Speed: 1 replays in real time and drops late scans; 0 waits for every scan.",
+        ),
+    ] = 0.0,
+    every: Annotated[
+        float, typer.Option(min=0, metavar="METRES", help="Distance between queries.")
+    ] = 10.0,
+    pose_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File of the last pose: checked first, then kept up to date.",
+            show_default="none",
+        ),
+    ] = None,
+    topic: options.Topic = None,
+    deskew: options.Deskew = True,
+    odometry: options.Odometry = False,
+    level: options.Level = False,
+    config: options.ConfigFile = None,
+    weights: options.Weights = None,
+    threads: options.Threads = 0,
 ) -> None:
     """Replay a recording through the online localizer, scan by scan.
 
@@ -100,18 +76,16 @@ def live(
     summary.json; `segloc view MAP DIR` follows it meanwhile.
     """
     from ..datasets import NO_POSES
-    from ..errors import ConfigError
     from ..live import PoseKeeper
     from ..live.replay import play, summary
     from ..map.segment_map import SegmentMap
-    from .console import note, progress
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder, write_together
 
     check_folder(out)
     if odometry and poses is not None:
         raise ConfigError("--odometry and --poses exclude each other")
-    localizer = open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+    localizer = options.open_localizer(SegmentMap.load(prior_map), config, threads, weights)
     local = localizer.config.local_cloud
     poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(
@@ -123,7 +97,12 @@ def live(
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))
     keeper = None if pose_file is None else PoseKeeper(pose_file)
     with SoFar(out, recording, clouds=not rate) as so_far, progress("Following") as update:
-        on_state = _both(_teller(recording), so_far.add)
+        tell = _teller(recording)
+
+        def on_state(position: int, state: State) -> None:
+            tell(position, state)
+            so_far.add(position, state)
+
         played = play(localizer, recording, _settings(every, rate), rate, on_state, update, keeper)
     for line in [] if keeper is None else keeper.notes:
         note(line)
@@ -142,26 +121,15 @@ def _settings(every_m: float, rate: float) -> Any:
     return settings.model_copy(update={"tracker": tracker})
 
 
-def _both(first: OnState, second: OnState) -> OnState:
-    """Return a callback that calls two callbacks."""
-
-    def call(position: int, state: State) -> None:
-        first(position, state)
-        second(position, state)
-
-    return call
-
-
-def _teller(recording: Scans) -> OnState:
+def _teller(recording: Scans) -> Callable[[int, State], None]:
     """Return a callback that prints a line whenever the state changes."""
-    from .console import say
-
-    last: list[str] = []
+    last: str | None = None
 
     def on_state(position: int, state: State) -> None:
-        if last and last[0] == state.status.value:
+        nonlocal last
+        if state.status.value == last:
             return
-        last[:] = [state.status.value]
+        last = state.status.value
         T = state.T_map_base
         where = "" if T is None else f" at {T[0, 3]:.1f}, {T[1, 3]:.1f}"
         why = f": {state.reason}" if state.reason else ""
@@ -172,27 +140,21 @@ def _teller(recording: Scans) -> OnState:
 
 
 def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[str, bytes]:
+    lines = [
+        json.dumps(record(recording, position, played.states[position]), allow_nan=False) + "\n"
+        for position in map(int, played.positions)
+    ]
     return {
         "poses.tum": _poses(recording, played),
-        "states.jsonl": "".join(_lines(recording, played)).encode(),
+        "states.jsonl": "".join(lines).encode(),
         "summary.json": (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode(),
     }
-
-
-def _lines(recording: Scans, played: Replay) -> list[str]:
-
-    lines = []
-    for position in map(int, played.positions):
-        found = record(recording, position, played.states[position])
-        lines.append(json.dumps(found, allow_nan=False) + "\n")
-    return lines
 
 
 def _poses(recording: Scans, played: Replay) -> bytes:
     """Return T_map_sensor by stamp, or else by scan number."""
     import numpy as np
 
-    from ..io import Trajectory
     from .results import tum_bytes
 
     found = {
@@ -200,22 +162,20 @@ def _poses(recording: Scans, played: Replay) -> bytes:
         for position in map(int, played.positions)
         if (T := played.states[position].T_map_base) is not None
     }
-    rows = list(found)
-    timed = recording.stamps is not None
-    keys = recording.stamps if recording.stamps is not None else recording.indices
-    track = np.array([found[k] for k in rows], dtype=np.float64).reshape(-1, 4, 4)
-    remark = "" if timed else "no times: the first column is the scan number"
-    return tum_bytes(Trajectory(np.asarray(keys, dtype=np.float64)[rows], track), remark)
+    rows, stamps = np.array(list(found), dtype=np.int64), recording.stamps
+    track = np.array(list(found.values()), dtype=np.float64).reshape(-1, 4, 4)
+    return tum_bytes(recording.indices[rows], None if stamps is None else stamps[rows], track)
 
 
 def _show(facts: dict[str, Any], title: str) -> None:
-    from .console import number, table
     from .results import error_rows
 
-    taken = f"{facts['scans']}, {facts['dropped']} dropped"
-    rows = [("scans", taken), ("travelled", number(facts["travelled_m"], "m", 1))]
-    rows.append(("localized", number(100 * facts["localized_share"], "%", 1)))
-    rows.append(("first fix after", number(facts["first_fix_m"], "m", 1)))
+    rows = [
+        ("scans", f"{facts['scans']}, {facts['dropped']} dropped"),
+        ("travelled", number(facts["travelled_m"], "m", 1)),
+        ("localized", number(100 * facts["localized_share"], "%", 1)),
+        ("first fix after", number(facts["first_fix_m"], "m", 1)),
+    ]
     if facts["false_m"] is not None:
         rows.append(("false track", number(facts["false_m"], "m", 1)))
         rows += error_rows(facts)
@@ -249,12 +209,7 @@ class SoFar:
     def __enter__(self) -> SoFar:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._stream is not None:
             self._stream.close()
             for file in (self._states, self._newest):

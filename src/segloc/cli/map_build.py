@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import (
-    Cluster,
-    ConfigFile,
-    Deskew,
-    Epsg,
-    Every,
-    Level,
-    MapOut,
-    Method,
-    Odometry,
-    Origin,
-    PosesOfEach,
-    SelectOfEach,
-    Threads,
-    Topic,
-    Weights,
-    Workers,
-    check_every,
-    each,
-    load_config,
-    parsed_georeference,
-)
+from ..errors import ConfigError, DatasetError
+from . import options
+from .console import note, progress
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -48,17 +30,17 @@ def build(
         list[Path],
         typer.Argument(metavar="SEQUENCE", help="Recordings whose poses share a frame."),
     ],
-    out: MapOut,
-    method: Method = None,
-    poses: PosesOfEach = None,
-    select: SelectOfEach = None,
-    every: Every = None,
-    topic: Topic = None,
-    deskew: Deskew = True,
-    odometry: Odometry = False,
-    level: Level = False,
-    epsg: Epsg = None,
-    origin: Origin = None,
+    out: options.MapOut,
+    method: options.Method = None,
+    poses: options.PosesOfEach = None,
+    select: options.SelectOfEach = None,
+    every: options.Every = None,
+    topic: options.Topic = None,
+    deskew: options.Deskew = True,
+    odometry: options.Odometry = False,
+    level: options.Level = False,
+    epsg: options.Epsg = None,
+    origin: options.Origin = None,
     compact: Annotated[
         bool,
         typer.Option(
@@ -66,11 +48,11 @@ def build(
             help="Write the smallest map; docs/reference/formats.md lists what it loses.",
         ),
     ] = False,
-    config: ConfigFile = None,
-    weights: Weights = None,
-    threads: Threads = 0,
-    workers: Workers = 1,
-    cluster: Cluster = None,
+    config: options.ConfigFile = None,
+    weights: options.Weights = None,
+    threads: options.Threads = 0,
+    workers: options.Workers = 1,
+    cluster: options.Cluster = None,
     unchecked: Annotated[
         bool, typer.Option("--unchecked", help="Build the map even if scans and poses mismatch.")
     ] = False,
@@ -81,22 +63,27 @@ def build(
     or poses with problems (see `segloc doctor`) are rejected: they would smear the map.
     """
     from ..system.files import checked_target
+    from .recording import check_fit, open_recordings
 
-    check_every(every)
+    options.check_every(every)
     checked_target(out)
-    where = parsed_georeference(epsg, origin)
-    settings = load_config(config, method, threads, weights)
-    settings = _mapped_so(settings, compact=compact, level=level)
+    where = options.parsed_georeference(epsg, origin)
+    settings = _mapped_so(
+        options.load_config(config, method, threads, weights), compact=compact, level=level
+    )
     _check_level(sequences, settings, where is not None)
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
-    count = len(sequences)
-    named = zip(
-        sequences, each(poses, count, "--poses"), each(select, count, "--select"), strict=True
+    mount = settings.local_cloud.mount
+    recordings = _posed(
+        sequences,
+        open_recordings(
+            sequences, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+        ),
     )
-    recordings = [_opened(*row, topic, deskew, odometry, settings) for row in named]
     if not unchecked:
-        _check_fit(recordings, sequences, settings)
+        for recording, path in zip(recordings, sequences, strict=True):
+            check_fit(recording, path, settings.local_cloud)
     _build(recordings, settings, out, every, workers, cluster, where)
 
 
@@ -110,11 +97,8 @@ def _build(
     where: Georeference | None,
 ) -> None:
     from ..map.build import build_merged_map
-    from ..map.georeference import KEY
     from ..system.processes import executing
-    from .console import note, progress
-    from .map_info import show
-    from .results import writing
+    from .map_info import save_and_show
 
     with progress("Building the map") as update, executing(workers, cluster) as executor:
         several = executor is not None or len(recordings) > 1
@@ -127,11 +111,7 @@ def _build(
             executor=executor,
             folder=out.absolute().parent,
         )
-    if where is not None:
-        prior_map.metadata[KEY] = where.to_text()
-    with writing(out):
-        prior_map.save(out)
-    show(prior_map, str(out))
+    save_and_show(prior_map, out, where)
     if (frame := prior_map.metadata.get("frame")) and not settings.mapping.level:
         note(
             f"the map's frame is {frame}, so levelled single scans fit it badly; --level builds a "
@@ -139,45 +119,25 @@ def _build(
         )
 
 
-def _check_fit(recordings: list[Sequence], paths: list[Path], settings: Config) -> None:
-    from .recording import check_fit
-
-    for recording, path in zip(recordings, paths, strict=True):
-        check_fit(recording, path, settings.local_cloud)
-
-
-def _opened(
-    path: Path,
-    poses: Path | None,
-    select: str | None,
-    topic: str | None,
-    deskew: bool,
-    odometry: bool,
-    settings: Config,
-) -> Sequence:
-    """Open a recording with poses."""
-    from ..errors import DatasetError
+def _posed(paths: list[Path], recordings: Iterator[Sequence]) -> list[Sequence]:
+    """Return recordings that can be mapped: scans with poses."""
     from ..io.clouds import is_cloud
-    from .recording import open_recording
 
-    if path.is_file() and is_cloud(path):
-        raise DatasetError(
-            f"{path}: a point cloud, not a recording with poses: use `segloc map from-cloud`"
-        )
-    mount = settings.local_cloud.mount
-    recording = open_recording(
-        path, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
-    )
-    if recording.poses is None:
-        raise DatasetError(
-            f"{path}: a map needs a pose for every scan: pass --poses FILE, or use --odometry"
-        )
-    return recording
+    posed = []
+    for path in paths:
+        if path.is_file() and is_cloud(path):
+            raise DatasetError(
+                f"{path}: a point cloud, not a recording with poses: use `segloc map from-cloud`"
+            )
+        posed.append(next(recordings))
+        if posed[-1].poses is None:
+            raise DatasetError(
+                f"{path}: a map needs a pose for every scan: pass --poses FILE, or use --odometry"
+            )
+    return posed
 
 
 def _check_level(sequences: list[Path], settings: Config, georeferenced: bool) -> None:
-    from ..errors import ConfigError
-
     if settings.mapping.level and len(sequences) > 1:
         raise ConfigError("--level applies to one recording; several must share a level frame")
     if settings.mapping.level and georeferenced:

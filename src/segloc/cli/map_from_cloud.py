@@ -7,16 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import ConfigFile, Epsg, MapOut, Method, Threads, Weights, load_config
-
-Trajectory = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Poses that the cloud was measured from, TUM or KITTI.",
-        show_default="viewpoints on free ground",
-    ),
-]
+from . import options
+from .console import note, progress
 
 
 def from_cloud(
@@ -27,17 +19,24 @@ def from_cloud(
             help="PCD, PLY, LAS, LAZ, E57 or XYZ file, or a folder of tiles of these.",
         ),
     ],
-    out: MapOut,
-    trajectory: Trajectory = None,
+    out: options.MapOut,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses that the cloud was measured from, TUM or KITTI.",
+            show_default="viewpoints on free ground",
+        ),
+    ] = None,
     sensor_height: Annotated[
         float,
         typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints above ground."),
     ] = 1.0,
-    epsg: Epsg = None,
-    method: Method = None,
-    config: ConfigFile = None,
-    weights: Weights = None,
-    threads: Threads = 0,
+    epsg: options.Epsg = None,
+    method: options.Method = None,
+    config: options.ConfigFile = None,
+    weights: options.Weights = None,
+    threads: options.Threads = 0,
 ) -> None:
     """Build a map from one finished point cloud, without scans or poses.
 
@@ -46,16 +45,12 @@ def from_cloud(
     from ..io import read_trajectory
     from ..io.clouds import read_cloud
     from ..map.from_cloud import build_from_cloud
-    from ..map.georeference import KEY
     from ..system.files import checked_target
-    from .console import note, progress
-    from .map_info import show
-    from .options import parsed_georeference
-    from .results import writing
+    from .map_info import save_and_show
 
     checked_target(out)
-    where = parsed_georeference(epsg, None)
-    settings = load_config(config, method, threads, weights)
+    where = options.parsed_georeference(epsg, None)
+    settings = options.load_config(config, method, threads, weights)
     poses = None if trajectory is None else read_trajectory(trajectory).poses
     with progress("Reading and mapping the cloud") as update:
         prior_map = build_from_cloud(
@@ -66,10 +61,6 @@ def from_cloud(
             progress=update,
         )
     prior_map.metadata["sequence"] = cloud.name
-    if where is not None:
-        prior_map.metadata[KEY] = where.to_text()
-    with writing(out):
-        prior_map.save(out)
-    show(prior_map, str(out))
+    save_and_show(prior_map, out, where)
     if frame := prior_map.metadata.get("frame"):
         note(f"the cloud's frame is {frame}: level the cloud for good results")

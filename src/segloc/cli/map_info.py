@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..system.text import counted
+from .console import table
 
 if TYPE_CHECKING:
+    from ..map.georeference import Georeference
     from ..map.segment_map import SegmentMap
 
 _MAX_TEXT = 200
@@ -31,10 +33,21 @@ def info(
         show(prior_map, str(path))
 
 
+def save_and_show(prior_map: SegmentMap, out: Path, where: Georeference | None) -> None:
+    """Save a new map with its georeference, and print its contents."""
+    from ..map.georeference import KEY
+    from .results import writing
+
+    if where is not None:
+        prior_map.metadata[KEY] = where.to_text()
+    with writing(out):
+        prior_map.save(out)
+    show(prior_map, str(out))
+
+
 def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of a map's contents."""
     from ..map.georeference import Georeference
-    from .console import table
 
     facts = prior_map.info()
     sessions = counted(facts["sessions"], "sessions")

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Elsewhere
+from ..errors import ConfigError, MapMismatch
+from . import options
+from .console import busy, table
 
 if TYPE_CHECKING:
     from ..map.segment_map import SegmentMap
@@ -20,7 +22,7 @@ def merge(
     out: Annotated[
         str, typer.Option(metavar="MAP", help="Map to write; tiles are changed in place.")
     ],
-    elsewhere: Elsewhere = False,
+    elsewhere: options.Elsewhere = False,
 ) -> None:
     """Merge maps of one place that share their frame; common content is kept once.
 
@@ -28,11 +30,9 @@ def merge(
     reach are written.
     """
     from ..config import map_config
-    from ..errors import ConfigError
     from ..map.compact import compacted
     from ..map.segment_map import SegmentMap
     from ..tiles import holds_tiles
-    from .console import busy
     from .map_info import show
     from .results import writing
 
@@ -52,7 +52,6 @@ def merge(
 def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool) -> None:
     from ..map.segment_map import SegmentMap
     from ..tiles import merge_into_tiles
-    from .console import busy, table
     from .map_update import check_same_tiles
 
     check_same_tiles(where, out)
@@ -67,7 +66,6 @@ def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool) -> Non
 
 def _merged(maps: list[SegmentMap], paths: list[Path], elsewhere: bool) -> SegmentMap:
     """Merge maps in an order in which each meets an earlier one, if possible."""
-    from ..errors import MapMismatch
     from ..map.same_place import check_same_place, meets
 
     merged, waiting = maps[0], list(zip(maps[1:], paths[1:], strict=True))

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .console import progress, table
+
 
 def tile(
     prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
@@ -27,7 +29,6 @@ def tile(
     """
     from ..map.segment_map import SegmentMap
     from ..tiles import cut_tiles
-    from .console import progress, table
 
     whole = SegmentMap.load(prior_map)
     with progress("Cutting") as update:

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import (
-    ConfigFile,
-    Deskew,
-    Elsewhere,
-    Odometry,
-    Recording,
-    Select,
-    Threads,
-    Topic,
-    Weights,
-    map_settings,
-)
+from ..errors import ConfigError
+from . import options
+from .console import note, progress, table
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -28,31 +19,30 @@ if TYPE_CHECKING:
     from ..tiles import TiledMap
     from ..types import Recording as Scans
 
-PosesInMap = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Poses of the scans in the map (TUM or KITTI); with --align, in any frame.",
-        show_default="with --align, its own",
-    ),
-]
-Align = Annotated[
-    bool, typer.Option("--align", help="First align the session's odometry to the map.")
-]
+    Opened = Callable[[SegmentMap | TiledMap], tuple[Config, Scans]]
 
 
 def update(
     prior_map: Annotated[
         str, typer.Argument(metavar="MAP", help="The map: a file, or a folder or URL of tiles.")
     ],
-    sequence: Recording,
+    sequence: options.Recording,
     out: Annotated[
         str, typer.Option(metavar="MAP", help="Map to write; tiles are changed in place.")
     ],
-    poses: PosesInMap = None,
-    align: Align = False,
-    odometry: Odometry = False,
-    select: Select = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses of the scans in the map (TUM or KITTI); with --align, in any frame.",
+            show_default="with --align, its own",
+        ),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="First align the session's odometry to the map.")
+    ] = False,
+    odometry: options.Odometry = False,
+    select: options.Select = None,
     max_missed: Annotated[
         int,
         typer.Option(
@@ -65,12 +55,12 @@ def update(
     max_segments: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Maximum size of the map; 0: unlimited.")
     ] = 0,
-    elsewhere: Elsewhere = False,
-    topic: Topic = None,
-    deskew: Deskew = True,
-    config: ConfigFile = None,
-    weights: Weights = None,
-    threads: Threads = 0,
+    elsewhere: options.Elsewhere = False,
+    topic: options.Topic = None,
+    deskew: options.Deskew = True,
+    config: options.ConfigFile = None,
+    weights: options.Weights = None,
+    threads: options.Threads = 0,
 ) -> None:
     """Add a session to a map, and remove objects that are gone.
 
@@ -80,122 +70,77 @@ def update(
     """
     from ..map.update import UpdateConfig
     from ..tiles import holds_tiles
-    from .console import table
+    from .recording import open_recording
 
     settings = UpdateConfig(max_missed=max_missed, max_views=max_views, max_segments=max_segments)
-    session = _SessionInput(
-        sequence=sequence,
-        poses=poses,
-        align=align,
-        odometry=odometry,
-        select=select,
-        topic=topic,
-        deskew=deskew,
-        config=config,
-        weights=weights,
-        threads=threads,
-        elsewhere=elsewhere,
-    )
-    if holds_tiles(prior_map):
-        rows = session.into_tiles(prior_map, out, settings)
-    else:
-        rows = session.into_map(Path(prior_map), Path(out), settings)
-    table(out, ("", ""), rows)
-
-
-@dataclass(frozen=True)
-class _SessionInput:
-    """A session, and the options for reading it."""
-
-    sequence: Path
-    poses: Path | None
-    align: bool
-    odometry: bool
-    select: str | None
-    topic: str | None
-    deskew: bool
-    config: Path | None
-    weights: Path | None
-    threads: int
-    elsewhere: bool
-
-    def __post_init__(self) -> None:
-        from ..errors import ConfigError
-
-        if self.poses is None and not self.align:
-            raise ConfigError(
-                "an update needs poses in the frame of the map: --poses FILE, or --align, which "
-                "aligns the session's own"
-            )
-
-    def _opened(self, where: SegmentMap | TiledMap) -> tuple[Config, Scans]:
-        """Return the settings of a map, and the session in its frame."""
-        from ..loops import Reposed, align_to_map
-        from ..map.segment_map import SegmentMap
-        from .align import map_rows
-        from .console import note, progress
-        from .recording import open_recording
-
-        prior_map = where if isinstance(where, SegmentMap) else where.coarse()
-        chosen = map_settings(prior_map, self.config, self.threads, self.weights)
-        recording = open_recording(
-            self.sequence,
-            self.poses,
-            self.select,
-            topic=self.topic,
-            deskew=self.deskew,
-            odometry=self.odometry,
-            mount=chosen.local_cloud.mount,
+    if poses is None and not align:
+        raise ConfigError(
+            "an update needs poses in the frame of the map: --poses FILE, or --align, which "
+            "aligns the session's own"
         )
-        if not self.align:
-            return chosen, recording
-        alignment = align_to_map(where, [recording], chosen, stage=progress)
-        for name, line in map_rows(alignment):
-            note(f"{name}: {line}")
-        return chosen, Reposed(recording, alignment.poses[0])
 
-    def into_map(self, prior_map: Path, out: Path, settings: UpdateConfig) -> list[tuple[str, str]]:
-        """Update a map file; return rows on what was done."""
-        from ..map.segment_map import SegmentMap
-        from ..map.update import update_map
-        from .console import progress
-        from .results import writing
+    def opened(where: SegmentMap | TiledMap) -> tuple[Config, Scans]:
+        """Return the settings of a map, and the session in its frame."""
+        chosen = options.map_settings(where, config, threads, weights)
+        mount = chosen.local_cloud.mount
+        recording = open_recording(
+            sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+        )
+        return chosen, _aligned(recording, where, chosen) if align else recording
 
-        with writing(out):
-            prior = SegmentMap.load(prior_map)
-            chosen, recording = self._opened(prior)
-            with progress("Updating the map") as bar:
-                updated, counts = update_map(
-                    prior, recording, chosen, settings, bar, elsewhere=self.elsewhere
-                )
-            updated.save(out)
-        now = ("segments now", str(len(updated)))
-        return [("segments before", str(len(prior))), *_rows(counts), now]
+    write = _update_tiles if holds_tiles(prior_map) else _update_map
+    table(out, ("", ""), write(prior_map, out, opened, settings, elsewhere))
 
-    def into_tiles(self, where: str, out: str, settings: UpdateConfig) -> list[tuple[str, str]]:
-        """Update tiles in place; return rows on what was done."""
-        from ..tiles import TiledMap, update_tiles
-        from .console import progress
 
-        check_same_tiles(where, out)
-        chosen, recording = self._opened(TiledMap(where))
-        with progress("Updating the tiles") as bar:
-            changed, counts = update_tiles(
-                where, recording, chosen, settings, bar, elsewhere=self.elsewhere
+def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> Scans:
+    """Return a session with poses in the frame of a map."""
+    from ..loops import align_to_map
+    from ..types import Reposed
+    from .align import map_rows
+
+    alignment = align_to_map(where, [recording], config, stage=progress)
+    for name, line in map_rows(alignment):
+        note(f"{name}: {line}")
+    return Reposed(recording, alignment.poses[0])
+
+
+def _update_map(
+    prior_map: str, out: str, opened: Opened, settings: UpdateConfig, elsewhere: bool
+) -> list[tuple[str, str]]:
+    """Update a map file; return rows on what was done."""
+    from ..map.segment_map import SegmentMap
+    from ..map.update import update_map
+    from .results import writing
+
+    target = Path(out)
+    with writing(target):
+        prior = SegmentMap.load(Path(prior_map))
+        config, recording = opened(prior)
+        with progress("Updating the map") as bar:
+            updated, counts = update_map(
+                prior, recording, config, settings, bar, elsewhere=elsewhere
             )
-        tiles = f"{changed.written} of {len(changed.index.tiles)}"
-        return [("tiles that changed", tiles), *_rows(counts)]
+        updated.save(target)
+    now = ("segments now", str(len(updated)))
+    return [("segments before", str(len(prior))), *_rows(counts), now]
+
+
+def _update_tiles(
+    where: str, out: str, opened: Opened, settings: UpdateConfig, elsewhere: bool
+) -> list[tuple[str, str]]:
+    """Update tiles in place; return rows on what was done."""
+    from ..tiles import TiledMap, update_tiles
+
+    check_same_tiles(where, out)
+    config, recording = opened(TiledMap(where))
+    with progress("Updating the tiles") as bar:
+        changed, counts = update_tiles(where, recording, config, settings, bar, elsewhere=elsewhere)
+    tiles = f"{changed.written} of {len(changed.index.tiles)}"
+    return [("tiles that changed", tiles), *_rows(counts)]
 
 
 def check_same_tiles(where: str, out: str) -> None:
-    """Reject another output than the tiles themselves.
-
-    Raises
-    ------
-    ConfigError
-    """
-    from ..errors import ConfigError
-
+    """Reject another output than the tiles themselves."""
     if where.rstrip("/") != out.rstrip("/"):
         raise ConfigError(f"tiles are changed in place: use --out {where}, or copy them first")
 

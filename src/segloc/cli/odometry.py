@@ -7,19 +7,20 @@ from typing import Annotated
 
 import typer
 
-from .options import Recording, Select, Topic
+from . import options
+from .console import number, progress, table
 
 
 def odometry(
-    sequence: Recording,
+    sequence: options.Recording,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="POSES.tum", help="Output file of poses.", show_default="beside the recording"
         ),
     ] = None,
-    select: Select = None,
-    topic: Topic = None,
+    select: options.Select = None,
+    topic: options.Topic = None,
 ) -> None:
     """Compute the poses of a recording from its scans, by KISS-ICP.
 
@@ -31,7 +32,6 @@ def odometry(
     from ..datasets import NO_POSES, RecordedSequence
     from ..datasets.odometry import compute_odometry, odometry_path
     from ..system.files import checked_target
-    from .console import number, progress, table
     from .recording import open_recording
 
     file = checked_target(out) if out is not None else odometry_path(sequence, topic)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from ..errors import ConfigError
+from .console import note
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from ..map.georeference import Georeference
     from ..map.segment_map import SegmentMap
     from ..prior import Prior
+    from ..tiles import TiledMap
 
 Value = TypeVar("Value")
 
@@ -209,13 +211,29 @@ def load_config(
     return _with(Config.load(path, method), threads, weights)
 
 
+def open_map(where: str) -> SegmentMap | TiledMap:
+    """Open a map file, or tiles."""
+    from ..map.segment_map import SegmentMap
+    from ..tiles import TiledMap, holds_tiles
+
+    return TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
+
+
+def described(prior_map: SegmentMap | TiledMap) -> SegmentMap:
+    """Return the map, or of tiles the thin one."""
+    from ..map.segment_map import SegmentMap
+
+    return prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
+
+
 def map_settings(
-    prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
+    prior_map: SegmentMap | TiledMap, path: Path | None, threads: int, weights: Path | None = None
 ) -> Config:
     """Return the configuration in a file, or else the map's own."""
     from ..config import Config, map_config
 
-    config = map_config(prior_map) if path is None else Config.load(path, prior_map.descriptor)
+    whole = described(prior_map)
+    config = map_config(whole) if path is None else Config.load(path, whole.descriptor)
     if weights is None and config.weights is not None and not config.weights.exists():
         raise ConfigError(
             f"the map's weights are missing at {config.weights}: pass the file with --weights"
@@ -224,40 +242,18 @@ def map_settings(
 
 
 def open_localizer(
-    prior_map: SegmentMap, path: Path | None, threads: int, weights: Path | None = None
+    prior_map: SegmentMap | TiledMap, path: Path | None, threads: int, weights: Path | None = None
 ) -> Localizer:
     """Create a localizer in a map, configured by a file or else by the map.
 
     Notes on the configuration are printed.
     """
     from ..localizer import Localizer
-    from .console import note
 
     localizer = Localizer(prior_map, map_settings(prior_map, path, threads, weights))
     for line in localizer.notes:
         note(line)
     return localizer
-
-
-def opened_map(
-    where: str, path: Path | None, threads: int, weights: Path | None = None
-) -> tuple[Localizer, SegmentMap, str]:
-    """Return a localizer in a map file or tiles, the map (of tiles the thin one), and its name."""
-    from ..localizer import Localizer
-    from ..map.segment_map import SegmentMap
-    from ..tiles import TiledMap, holds_tiles
-    from .console import note
-
-    name = where.rstrip("/").rsplit("/", 1)[-1]
-    if not holds_tiles(where):
-        prior_map = SegmentMap.load(where)
-        return open_localizer(prior_map, path, threads, weights), prior_map, name
-    tiles = TiledMap(where)
-    settings = map_settings(tiles.coarse(), path, threads, weights)
-    localizer = Localizer(tiles, settings)
-    for line in localizer.notes:
-        note(line)
-    return localizer, localizer.prior_map, name
 
 
 def _with(config: Config, threads: int, weights: Path | None) -> Config:

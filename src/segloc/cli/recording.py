@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import cast
 
-if TYPE_CHECKING:
-    from ..datasets import Sequence
-    from ..frontend.local_cloud import LocalCloudConfig
-    from ..frontend.mounting import MountConfig
-    from ..types import Float64, Pose, Recording
+import numpy as np
+
+from ..datasets import NO_POSES, RecordedSequence, Sequence, open_sequence, poses_at
+from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
+from ..errors import ConfigError, DatasetError
+from ..frontend.local_cloud import LocalCloudConfig
+from ..frontend.mounting import MountConfig
+from ..frontend.tilt import frame_tilt, levelled
+from ..types import Float64, Pose, Recording
+from . import options
+from .console import busy, note, progress
 
 
 def open_recording(
@@ -27,19 +34,34 @@ def open_recording(
     With ``odometry`` its poses are read from the odometry file beside it, which is computed if
     missing. These are the sensor's; other poses are the base's if ``mount`` is set.
     """
-    from ..datasets import open_sequence
-    from ..errors import ConfigError
-    from .console import note
-
     if odometry:
         if poses is not None:
             raise ConfigError("--odometry and --poses exclude each other")
-        poses = odometry_of(path, topic)
+        poses = _odometry_of(path, topic)
     T = None if odometry else place_of_sensor(mount)
     sequence = open_sequence(path, poses, select, topic=topic, deskew=deskew, T_base_sensor=T)
     for line in getattr(sequence, "notes", ()):
         note(line)
     return sequence
+
+
+def open_recordings(
+    paths: list[Path],
+    poses: list[Path] | None,
+    select: list[str] | None,
+    *,
+    topic: str | None,
+    deskew: bool,
+    odometry: bool,
+    mount: MountConfig,
+) -> Iterator[Sequence]:
+    """Open several recordings, one after another, with the values of options for each."""
+    files = options.each(poses, len(paths), "--poses")
+    scans = options.each(select, len(paths), "--select")
+    for path, file, chosen in zip(paths, files, scans, strict=True):
+        yield open_recording(
+            path, file, chosen, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+        )
 
 
 def true_poses(
@@ -50,11 +72,6 @@ def true_poses(
     T_base_sensor: Pose | None = None,
 ) -> Float64 | None:
     """Read true poses of a recording's scans, NaN where unknown; None without a file."""
-    import numpy as np
-
-    from ..datasets import poses_at
-    from .console import note
-
     if truth is None:
         return None
     found = poses_at(recording, path, truth, topic, T_base_sensor=T_base_sensor)
@@ -68,14 +85,8 @@ def place_of_sensor(mount: MountConfig | None) -> Pose | None:
     return mount.T_base_sensor if mount is not None and mount.poses_of_base else None
 
 
-def odometry_of(path: Path, topic: str | None = None) -> Path:
+def _odometry_of(path: Path, topic: str | None) -> Path:
     """Return the file with the recording's odometry, computed if missing."""
-    from typing import cast
-
-    from ..datasets import NO_POSES, RecordedSequence, open_sequence
-    from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
-    from .console import note, progress
-
     file = odometry_path(path, topic)
     recording = cast(RecordedSequence, open_sequence(path, NO_POSES, topic=topic))
     if kept_odometry(file, recording):
@@ -96,8 +107,6 @@ def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> Non
         With the fault and its remedy.
     """
     from ..doctor import Fault, first_fault
-    from ..errors import DatasetError
-    from .console import busy, note
 
     with busy("Checking scans against poses"):
         finding = first_fault(recording, config)
@@ -119,26 +128,21 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
     DatasetError
         If levelling is requested, and the scans show too few walls.
     """
-    from ..errors import ConfigError, DatasetError
-    from ..frontend.tilt import frame_tilt, levelled
-    from .console import busy, note
-
     if recording.poses is None:
         if level:
             raise ConfigError("--level needs poses: scans without poses are levelled one by one")
         return recording
-    if level:
-        with busy("Checking whether the frame is level"):
-            tilt = frame_tilt(recording, config)
-        turned, _ = levelled(recording, tilt)
-        if tilt is not None:
-            note(f"poses turned by {tilt.tilt_deg:.1f} degrees about the first, so that z is up")
-        return turned
     try:
         with busy("Checking whether the frame is level"):
             tilt = frame_tilt(recording, config)
     except DatasetError:
+        if level:
+            raise
         return recording  # an unreadable scan may not be selected later
+    if level:
+        if tilt is not None:
+            note(f"poses turned by {tilt.tilt_deg:.1f} degrees about the first, so that z is up")
+        return levelled(recording, tilt)[0]
     if tilt is not None and tilt.is_significant:
         note(f"the poses' z axis is {tilt.tilt_deg:.1f} degrees off vertical: --level corrects it")
     return recording

@@ -14,6 +14,9 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
+from ..system.files import checked_target, replacing
+from ..system.locks import exclusive
+from ..types import Float64, Int64
 from .console import note, number
 
 if TYPE_CHECKING:
@@ -79,17 +82,19 @@ def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, b
         found[KEY] = json.loads(where.to_text())
     summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
-        "poses.tum": tum_bytes(*_trajectory(evaluation)),
+        "poses.tum": _poses(evaluation),
         "localizations.jsonl": "".join(lines).encode(),
         "summary.json": summary.encode(),
     }
 
 
-def tum_bytes(trajectory: Trajectory, remark: str) -> bytes:
-    """Return the content of a TUM file."""
+def tum_bytes(numbers: Int64, stamps: Float64 | None, poses: Float64) -> bytes:
+    """Return a TUM file of poses by stamp, or else by scan number, with a remark."""
+    keys = numbers.astype(np.float64) if stamps is None else stamps
+    remark = "no times: the first column is the scan number" if stamps is None else ""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "poses.tum"
-        write_tum(path, trajectory, remark)
+        write_tum(path, Trajectory(keys, poses), remark)
         return path.read_bytes()
 
 
@@ -103,24 +108,19 @@ def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _trajectory(evaluation: Evaluation) -> tuple[Trajectory, str]:
-    """Return the localized poses by stamp, or else by number, with a remark on which."""
-    stamps, timed = evaluation.indices.astype(np.float64), evaluation.stamps
-    if timed is not None:
-        stamps = timed
-    stamps = stamps[evaluation.localized]
-    order = np.argsort(stamps)
-    remark = "" if timed is not None else "no times: the first column is the scan number"
-    return Trajectory(stamps[order], evaluation.positions_found()[order]), remark
+def _poses(evaluation: Evaluation) -> bytes:
+    """Return a TUM file of the localized poses, in the order of their stamps or numbers."""
+    numbers, stamps = evaluation.indices[evaluation.localized], evaluation.stamps
+    if stamps is not None:
+        stamps = stamps[evaluation.localized]
+    order = np.argsort(numbers if stamps is None else stamps)
+    poses = evaluation.positions_found()[order]
+    return tum_bytes(numbers[order], None if stamps is None else stamps[order], poses)
 
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
     """Lock ``out`` for writing; if it is locked, note it and wait."""
-    from ..system.files import checked_target
-    from ..system.locks import exclusive
-    from .console import note
-
     checked_target(out)
     with exclusive(out, lambda: note(f"{out}: waiting for another process that writes it")):
         yield
@@ -128,8 +128,6 @@ def writing(out: Path) -> Iterator[None]:
 
 def write_together(out: Path, files: dict[str, bytes]) -> None:
     """Write the files of a folder and its subfolders: all or none."""
-    from ..system.files import replacing
-
     folders = sorted({(out / name).parent for name in files} | {out})
     made = [folder for folder in folders if not folder.exists()]
     for folder in made:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .console import progress
+
 if TYPE_CHECKING:
     from ..sample import SampleDrive
 
@@ -45,7 +47,6 @@ def sample(
 def _write(drive: SampleDrive, folder: Path, step: int) -> int:
     """Write every ``step``-th scan and its true pose, by number; return their count."""
     from ..io import Trajectory, write_scan, write_tum
-    from .console import progress
 
     folder.mkdir(parents=True, exist_ok=True)
     indices = drive.indices[::step]

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .console import busy, note
+
 
 def view(
     prior_map: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
@@ -42,29 +44,27 @@ def view(
     from ..inspect.results import read_results
     from ..map.segment_map import SegmentMap
     from ..system.files import checked_target, write_text
-    from .console import busy, note
 
     if html is not None:
         checked_target(html)
     with busy("Loading"):
         prior = SegmentMap.load(prior_map)
-        robot = results is not None and follows(results)
-        queries = [] if results is None or robot else read_results(results)
+        robot = results if results is not None and follows(results) else None
+        queries = [] if results is None or robot is not None else read_results(results)
     if queries and not any(query.stages for query in queries):
         note("only positions of queries are stored: `segloc localize --debug` stores their stages")
     if html is not None:
         with busy("Writing the page"):
-            page = (
-                viewer.html_of_robot(prior, read_moments(results))
-                if robot and results is not None
-                else viewer.html(prior, queries)
-            )
+            if robot is None:
+                page = viewer.html(prior, queries)
+            else:
+                page = viewer.html_of_robot(prior, read_moments(robot))
             write_text(html, page)
         print(f"{html}: open it in a browser, no server needed ({len(page) / 1e6:.1f} MB)")
         return
-    if robot and results is not None:
-        server = viewer.follow(prior, results, port)
-    else:
+    if robot is None:
         server = viewer.serve(prior, queries, port)
+    else:
+        server = viewer.follow(prior, robot, port)
     print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C stops it", flush=True)
     server.sleep_forever()
