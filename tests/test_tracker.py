@@ -15,11 +15,6 @@ from segloc.types import Descriptors, Float64
 T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 
 
-@pytest.fixture(scope="module")
-def prior_map(plaza_map: SegmentMap) -> SegmentMap:
-    return plaza_map
-
-
 def odometry(T_map_sensor: Float64) -> Float64:
     return geometry.inverse(T_MAP_ODOM) @ T_map_sensor
 
@@ -37,9 +32,9 @@ def offset(T: Float64) -> float:
 
 
 def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_it(
-    prior_map: SegmentMap, plaza: Plaza
+    plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
-    localizer = Localizer(prior_map)
+    localizer = Localizer(plaza_map)
     tracks = walk(Tracker(localizer), plaza)
     for k, track in enumerate(tracks):
         assert track.localized and track.views >= k + 1 and offset(track.T_map_odom) < 0.3
@@ -49,19 +44,19 @@ def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_i
 
 
 def test_views_that_are_not_believed_alone_are_once_they_agree(
-    prior_map: SegmentMap, plaza: Plaza
+    plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
     sure = VerificationConfig(min_confidence=0.99995)  # no single query is
-    localizer = Localizer(prior_map, Config.preset("geo").model_copy(update={"verification": sure}))
+    localizer = Localizer(plaza_map, Config.preset("geo").model_copy(update={"verification": sure}))
     tracks = walk(Tracker(localizer), plaza)
     assert not tracks[0].localized and tracks[0].reason == "no agreement yet"
     assert tracks[-1].localized and offset(tracks[-1].T_map_odom) < 0.3
 
 
 def test_scans_are_accumulated_and_every_few_metres_localized(
-    prior_map: SegmentMap, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+    plaza_map: SegmentMap, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    localizer, queries = Localizer(prior_map), []
+    localizer, queries = Localizer(plaza_map), []
     describe = localizer.describe
     monkeypatch.setattr(
         localizer, "describe", lambda cloud, times: queries.append(cloud) or describe(cloud, times)
@@ -80,42 +75,37 @@ def test_scans_are_accumulated_and_every_few_metres_localized(
 
 
 def test_views_of_two_places_that_look_alike_are_not_believed(
-    prior_map: SegmentMap, plaza: Plaza
+    plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
-    both = prior_map.crop((0.0, 0.0), np.inf)
+    both = plaza_map.crop((0.0, 0.0), np.inf)
     move = np.array([510.0, 0.0, 0.0])  # a multiple of the voxels: a true copy
     both.add(
-        Descriptors(prior_map.vectors, prior_map.quality),
-        prior_map.centroids + move,
-        prior_map.sizes,
+        Descriptors(plaza_map.vectors, plaza_map.quality),
+        plaza_map.centroids + move,
+        plaza_map.sizes,
         session=1,
         stamp=0.0,
-        cloud=prior_map.cloud + prior_map.origin + move,
+        cloud=plaza_map.cloud + plaza_map.origin + move,
     )
-    both.add_trajectory(geometry.rigid(np.eye(3), move) @ prior_map.trajectory)
+    both.add_trajectory(geometry.rigid(np.eye(3), move) @ plaza_map.trajectory)
     tracks = walk(Tracker(Localizer(both)), plaza)
     assert not any(track.localized for track in tracks)
     assert tracks[-1].status is Status.CANDIDATE and tracks[-1].reason == "several places fit"
 
 
 def test_a_track_survives_what_shows_nothing_but_not_for_ever(
-    prior_map: SegmentMap, plaza: Plaza
+    plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
-    tracker = Tracker(Localizer(prior_map), TrackerConfig(leak=0.01))
+    tracker = Tracker(Localizer(plaza_map), TrackerConfig(leak=0.01))
     walk(tracker, plaza, count=2)
     nothing = np.zeros((100, 3), np.float32)
-    empty = Localizer(prior_map).accumulator
+    empty = Localizer(plaza_map).accumulator
     for way, expected in ((20.0, True), (45.0, True), (80.0, False)):
         T = geometry.yaw_transform(0.0, (-7.0 + way, 1.0, 1.8))
         track = tracker.update(empty.gather(Scan(nothing)), odometry(T))
         assert track.localized == expected
 
 
-def test_a_walk_elsewhere_is_never_localized(prior_map: SegmentMap) -> None:
-    tracks = walk(Tracker(Localizer(prior_map)), Plaza(1), count=8, step=4.0)
+def test_a_walk_elsewhere_is_never_localized(plaza_map: SegmentMap) -> None:
+    tracks = walk(Tracker(Localizer(plaza_map)), Plaza(1), count=8, step=4.0)
     assert not any(track.localized for track in tracks)
-
-
-def test_odometry_must_be_a_pose(prior_map: SegmentMap, plaza: Plaza) -> None:
-    with pytest.raises(InvalidScan, match="T_odom_sensor"):
-        Tracker(Localizer(prior_map)).update(plaza.scan(np.eye(4)), np.zeros((4, 4)))

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 from samples.plaza import Plaza
-from samples.streams import T_MAP_ODOM, Event, error_m, feed, walked
+from samples.streams import T_MAP_ODOM, Event, error_m, feed, put, walked
 
-from segloc import InvalidScan, Localizer, Prior, Scan, SegmentMap, geometry
+from segloc import InvalidScan, Localizer, Prior, Scan, geometry
 from segloc.live import LiveConfig, LiveCore, State, Status
 from segloc.motion import Motion
 from segloc.tracker import TrackerConfig
@@ -18,11 +18,6 @@ from segloc.types import Pose
 
 AWAY = geometry.yaw_transform(0.3, (110.0, 0.0, 0.0))
 CONFIG = LiveConfig(tracker=TrackerConfig(accumulate=True, every_m=4.0))
-
-
-@pytest.fixture(scope="module")
-def localizer(plaza_map: SegmentMap) -> Localizer:
-    return Localizer(plaza_map)
 
 
 def drive(core: LiveCore, stream: Iterable[tuple[list[Event], Pose]]) -> list[tuple[State, float]]:
@@ -147,9 +142,8 @@ def test_silence_of_the_sensor_is_said_once(localizer: Localizer, plaza: Plaza) 
     drive(core, walked(plaza, 3))
     T = events[-1].T_odom_base
     messages = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
-    assert [s.status for s in messages] == [Status.DEGRADED] and "no scan for 2" in messages[
-        0
-    ].reason
+    assert [s.status for s in messages] == [Status.DEGRADED]
+    assert "no scan for 2" in messages[0].reason
     assert core.report_silence(3.0).status is Status.DEGRADED
 
 
@@ -177,7 +171,7 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
     core, heard = LiveCore(localizer, CONFIG), []
     ((events, truth),) = walked(plaza, 1)
     for event in events:
-        feed_one(core, event)
+        put(core, event)
     requested = core.due()
     assert requested is not None
     assert not core.ask(requested, near=Prior((500.0, 0.0), 10.0)).places
@@ -200,13 +194,6 @@ def test_what_was_forgotten_is_asked_for_at_the_next_scan_by_all_that_was_seen(
     messages = drive(core, walked(plaza, 1, start_s=104.0, begin=(-6.0, 1.4)))
     assert messages[-1][0].status is Status.LOCALIZED and messages[-1][1] < 0.3
     assert core.tracker.rolling.cloud().num_scans == held + 1 and core.jumps == 0
-
-
-def feed_one(core: LiveCore, event: Event) -> None:
-    if event.scan is not None:
-        core.add_scan(event.scan, event.stamp)
-    else:
-        core.add_odometry(event.stamp, event.T_odom_base)
 
 
 def test_wrong_input_is_refused_and_changes_nothing(localizer: Localizer) -> None:

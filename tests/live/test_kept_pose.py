@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from samples.streams import T_MAP_ODOM, error_m, feed, walked
 
-from segloc import Config, Localizer, build_map, geometry
+from segloc import Localizer, geometry
 from segloc.live import LiveCore, PoseKeeper, State
 from segloc.types import Pose
-
-
-@pytest.fixture(scope="module")
-def localizer(plaza: Plaza) -> Localizer:
-    return Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
 
 
 def drive(
@@ -45,13 +40,10 @@ def test_a_kept_pose_is_checked_near_it(
     assert np.allclose(
         kept["T_map_base"], geometry.yaw_transform(0.02, (-13.5, 1.1, 1.8)), atol=0.3
     )
-    keeper = PoseKeeper(file)
-    T_map_odom = T_MAP_ODOM
+    keeper, T = PoseKeeper(file), T_MAP_ODOM
     if restarted:
-        T_map_odom = geometry.yaw_transform(0.0, (-13.5, 1.1, 1.8))
-    (state, error), *_ = drive(
-        localizer, plaza, keeper, x=-13.5, T_map_odom=T_map_odom, start_s=200.0
-    )
+        T = geometry.yaw_transform(0.0, (-13.5, 1.1, 1.8))
+    (state, error), *_ = drive(localizer, plaza, keeper, x=-13.5, T_map_odom=T, start_s=200.0)
     assert error < 0.3 and state.localized
     assert keeper.notes[0].startswith("kept pose confirmed, 0.")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from samples.streams import error_m, feed, walked
 
-from segloc import Config, Localizer, Scan, build_map, geometry
+from segloc import Localizer, Scan, geometry
 from segloc.frontend.mounting import rotation
 from segloc.live import LidarOdometry, LiveCore
 
@@ -41,8 +41,9 @@ def test_it_restarts_at_its_last_pose_where_it_was_lost(plaza: Plaza) -> None:
     assert odometry.add(Scan(np.zeros((5, 3))), 3701.1) == [] and odometry.losses == 2
 
 
-def test_a_robot_without_odometry_is_followed_by_its_lidar(plaza: Plaza) -> None:
-    localizer = Localizer(build_map(PlazaSequence(plaza), Config.preset("geo")))
+def test_a_robot_without_odometry_is_followed_by_its_lidar(
+    localizer: Localizer, plaza: Plaza
+) -> None:
     core = LiveCore(localizer, lidar_odometry=True)
     walk = walked(plaza, 40, begin=(-14.0, 1.0), step=0.5, every_s=0.1)
     for events, truth in walk:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza
-from samples.streams import error_m, feed, walked
+from samples.streams import error_m, feed, put, walked
 
-from segloc import InvalidScan, Localizer, Scan, SegmentMap
+from segloc import InvalidScan, Localizer, Scan
 from segloc.errors import LiveError
 from segloc.live import LiveConfig, LiveCore, LiveLocalizer, State, Status
 from segloc.tracker import TrackerConfig
@@ -21,19 +21,11 @@ CONFIG = LiveConfig(tracker=TrackerConfig(accumulate=True, every_m=4.0))
 WAIT_S = 60.0
 
 
-@pytest.fixture(scope="module")
-def localizer(plaza_map: SegmentMap) -> Localizer:
-    return Localizer(plaza_map)
-
-
 def hand_over(live: LiveLocalizer, plaza: Plaza, count: int, settled: bool = True) -> np.ndarray:
     walk = list(walked(plaza, count))
     for events, _ in walk:
         for event in events:
-            if event.scan is not None:
-                live.add_scan(event.scan, event.stamp)
-            else:
-                live.add_odometry(event.stamp, event.T_odom_base)
+            put(live, event)
             assert not settled or live.flush(WAIT_S)
     return walk[-1][1]
 
@@ -74,9 +66,8 @@ def test_scans_are_taken_in_while_a_query_is_made_and_the_newest_question_wins(
     messages: list[State] = []
     with LiveLocalizer(slow, CONFIG, on_state=messages.append) as live:
         for k, (events, _) in enumerate(walked(plaza, 7)):
-            live.add_odometry(events[0].stamp, events[0].T_odom_base)
-            live.add_odometry(events[2].stamp, events[2].T_odom_base)
-            live.add_scan(events[1].scan, events[1].stamp)
+            for event in (events[0], events[2], events[1]):
+                put(live, event)
             deadline = time.monotonic() + WAIT_S
             while live.scans <= k and time.monotonic() < deadline:
                 time.sleep(0.002)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -62,14 +63,18 @@ def _at(begin: tuple[float, float], k: float, step: float) -> Pose:
     return geometry.yaw_transform(0.02 * k, (begin[0] + step * k, begin[1] + 0.1 * k, 1.8))
 
 
+def put(receiver: Any, event: Event) -> Any:
+    """Hand an event to a core, or to what has one."""
+    if event.scan is not None:
+        return receiver.add_scan(event.scan, event.stamp)
+    return receiver.add_odometry(event.stamp, event.T_odom_base)
+
+
 def feed(core: LiveCore, events: list[Event]) -> list[State]:
     """States after some events, each query made as soon as it is due."""
     states: list[State] = []
     for event in events:
-        if event.scan is not None:
-            states += core.add_scan(event.scan, event.stamp)
-        elif event.T_odom_base is not None:
-            states += core.add_odometry(event.stamp, event.T_odom_base)
+        states += put(core, event)
         if (requested := core.due()) is not None:
             states.append(core.answer(requested, core.ask(requested)))
     return states

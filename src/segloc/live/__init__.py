@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from ..system import lazy
 from ..tracking.belief import Status as Status
 from .config import LiveConfig as LiveConfig
 from .core import LiveCore as LiveCore
@@ -14,16 +11,7 @@ from .lidar_odometry import LidarOdometry as LidarOdometry
 from .localizer import LiveLocalizer as LiveLocalizer
 from .merge import MountedScan as MountedScan
 from .merge import ScanMerger as ScanMerger
+from .replay import Replay as Replay
+from .replay import play as play
+from .replay import pose_errors as pose_errors
 from .smooth import SmoothTransform as SmoothTransform
-
-if TYPE_CHECKING:
-    from .replay import Replay as Replay
-    from .replay import play as play
-    from .replay import pose_errors as pose_errors
-else:
-    __getattr__, __dir__ = lazy(
-        __name__,
-        {
-            "replay": "Replay play pose_errors",
-        },
-    )

@@ -7,8 +7,6 @@ from pydantic import Field
 from ..system.section import Section
 from ..tracker import TrackerConfig
 
-FOLLOWED = TrackerConfig(accumulate=True, every_m=10.0)
-
 
 class LiveConfig(Section):
     """When to query, what odometry may do, and how long to wait.
@@ -16,7 +14,7 @@ class LiveConfig(Section):
     Seconds are those of stamps, so that a stream gives the same states at any speed.
     """
 
-    tracker: TrackerConfig = FOLLOWED
+    tracker: TrackerConfig = TrackerConfig(accumulate=True, every_m=10.0)
     every_s: float = Field(5.0, gt=0, description="maximum time between queries, seconds")
     every_lost_s: float = Field(1.0, gt=0, description="the same while lost or candidate, seconds")
     deadline_ms: float | None = Field(

@@ -169,7 +169,7 @@ class PoseKeeper:
         """Stop checking the kept pose."""
         if self._expected is not None:
             self._expected = None
-            self.notes.append(f"kept pose: {why}; searching the whole map")
+            self._note_unused(why)
 
     def keep(
         self, stamp: float, T_map_base: Pose, T_odom_base: Pose, covariance: Float64 | None
@@ -200,20 +200,20 @@ class PoseKeeper:
             self._fault = str(error)
 
     def _recall(self, stamp: float) -> KeptPose | None:
-        if not self.path.exists():
-            self.notes.append(f"kept pose: no file {self.path} yet; searching the whole map")
-            return None
         try:
-            kept = KeptPose.load(self.path)
+            kept = KeptPose.load(self.path) if self.path.exists() else None
         except SeglocError as error:
-            self.notes.append(f"kept pose: {error}; searching the whole map")
+            self._note_unused(str(error))
             return None
-        why = ""
-        if kept.map_id != self._map_id:
-            why = "of another map, or of an earlier state of this one"
+        if kept is None:
+            self._note_unused(f"no file {self.path} yet")
+        elif kept.map_id != self._map_id:
+            self._note_unused("of another map, or of an earlier state of this one")
         elif stamp - kept.stamp > self._max_age_s:
-            why = f"{stamp - kept.stamp:.0f} s old, limit {self._max_age_s:g} s"
-        if why:
-            self.notes.append(f"kept pose: {why}; searching the whole map")
-            return None
-        return kept
+            self._note_unused(f"{stamp - kept.stamp:.0f} s old, limit {self._max_age_s:g} s")
+        else:
+            return kept
+        return None
+
+    def _note_unused(self, why: str) -> None:
+        self.notes.append(f"kept pose: {why}; searching the whole map")

@@ -7,8 +7,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from types import TracebackType
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..errors import LiveError, SeglocError
 from ..localizer import Localizer
 from ..system.checks import checked_pose
 from ..tracking.belief import View
-from ..types import Pose, Scan
+from ..types import Scan
 from .config import LiveConfig
 from .core import LiveCore, PendingQuery, State
 from .kept_pose import PoseKeeper
@@ -29,22 +29,8 @@ _MAX_POSES, _MAX_SCANS = 4096, 2
 _MAX_ARRIVALS = 256
 
 
-@dataclass(frozen=True)
-class _PoseEvent:
-    stamp: float
-    T_odom_base: Pose
-
-
-@dataclass(frozen=True)
-class _ScanEvent:
-    stamp: float
-    scan: Scan
-
-
-@dataclass(frozen=True)
-class _AnswerEvent:
-    pending: PendingQuery
-    view: View | None
+_Event = tuple[str, Callable[[], list[State]]]
+"""Kind of an input, and the call of the core that processes it."""
 
 
 class LiveLocalizer:
@@ -92,10 +78,11 @@ class LiveLocalizer:
         self._keeper = keeper
         self._state, self._on_state = self._core.state, on_state
         self._changed = threading.Condition()
-        self._inbox: deque[_PoseEvent | _ScanEvent | _AnswerEvent] = deque()
+        self._inbox: deque[_Event] = deque()
         self._pending: PendingQuery | None = None
         self._busy = 0  # working threads
-        self._closed, self._error = False, None
+        self._closed = False
+        self._error: BaseException | None = None
         self._overrun = 0
         self._arrived: dict[float, float] = {}
         names = {"intake": self._process, "queries": self._make_queries}
@@ -105,8 +92,6 @@ class LiveLocalizer:
         ]
         for thread in self._threads:
             thread.start()
-
-    _error: BaseException | None
 
     # --- for callers ---------------------------------------------------------------------------
 
@@ -126,7 +111,8 @@ class LiveLocalizer:
             If the scan is invalid, or has no stamp.
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
-        self._put(_ScanEvent(known_stamp(scan.stamp if stamp is None else stamp), scan))
+        time_s = known_stamp(scan.stamp if stamp is None else stamp)
+        self._put("scan", partial(self._core.add_scan, scan, time_s), _MAX_SCANS, time_s)
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
         """Add a pose of the odometry without waiting.
@@ -143,7 +129,8 @@ class LiveLocalizer:
         InvalidScan
             If the pose is invalid, or the stamp is not a finite number.
         """
-        self._put(_PoseEvent(known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")))
+        time_s, T = known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
+        self._put("pose", partial(self._core.add_odometry, time_s, T), _MAX_POSES)
 
     @property
     def state(self) -> State:
@@ -184,14 +171,9 @@ class LiveLocalizer:
     def __enter__(self) -> LiveLocalizer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._end()
-        if error is None:
+        if kind is None:
             self._check()
 
     # --- internal ------------------------------------------------------------------------------
@@ -213,21 +195,27 @@ class LiveLocalizer:
                 f"live localization has stopped: {kind}: {self._error}"
             ) from self._error
 
-    def _put(self, event: _PoseEvent | _ScanEvent) -> None:
+    def _put(
+        self,
+        kind: str,
+        call: Callable[[], list[State]],
+        most: int,
+        scan_stamp: float | None = None,
+    ) -> None:
+        """Queue an input; the oldest one of its kind is dropped if there are too many."""
         self._check()
         with self._changed:
             if self._closed:
                 raise LiveError("live localization was closed")
-            most = _MAX_SCANS if isinstance(event, _ScanEvent) else _MAX_POSES
-            alike = [e for e in self._inbox if type(e) is type(event)] if self._inbox else []
+            alike = [event for event in self._inbox if event[0] == kind]
             if len(alike) >= most:
                 self._inbox.remove(alike[0])
-                self._overrun += isinstance(event, _ScanEvent)
-            if isinstance(event, _ScanEvent):
-                self._arrived[event.stamp] = time.perf_counter()
+                self._overrun += scan_stamp is not None
+            if scan_stamp is not None:
+                self._arrived[scan_stamp] = time.perf_counter()
                 if len(self._arrived) > _MAX_ARRIVALS:
                     self._arrived.pop(next(iter(self._arrived)))
-            self._inbox.append(event)
+            self._inbox.append((kind, call))
             self._changed.notify_all()
 
     def _guarded(self, work: Callable[[], None]) -> None:
@@ -253,7 +241,7 @@ class LiveLocalizer:
                 self._busy += 1
             if event is not None:
                 reported_s = 0.0
-                self._publish(self._handle(event))
+                self._publish(event[1]())
             elif reported_s == 0.0 and self._core.scans:
                 reported_s = silent_s
                 self._publish([self._core.report_silence(silent_s)])
@@ -263,12 +251,8 @@ class LiveLocalizer:
                 self._busy -= 1
                 self._changed.notify_all()
 
-    def _handle(self, event: _PoseEvent | _ScanEvent | _AnswerEvent) -> list[State]:
-        if isinstance(event, _PoseEvent):
-            return self._core.add_odometry(event.stamp, event.T_odom_base)
-        if isinstance(event, _ScanEvent):
-            return self._core.add_scan(event.scan, event.stamp)
-        return [self._core.answer(event.pending, event.view)]
+    def _answer(self, pending: PendingQuery, view: View | None) -> list[State]:
+        return [self._core.answer(pending, view)]
 
     def _publish(self, states: list[State]) -> None:
         now = time.perf_counter()
@@ -293,6 +277,6 @@ class LiveLocalizer:
             with suppress(SeglocError):  # a failed query has no result
                 view = self._core.ask(pending)
             with self._changed:
-                self._inbox.append(_AnswerEvent(pending, view))
+                self._inbox.append(("answer", partial(self._answer, pending, view)))
                 self._busy -= 1
                 self._changed.notify_all()

@@ -44,21 +44,11 @@ class Jump:
 
 
 class Odometry:
-    """The last seconds of odometry.
-
-    Attributes
-    ----------
-    late : int
-        Number of poses received too late.
-    """
+    """The last seconds of odometry."""
 
     def __init__(self, config: LiveConfig) -> None:
         self._config = config
         self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MAX_POSES)
-        self.late = 0
-
-    def __len__(self) -> int:
-        return len(self._kept)
 
     @property
     def newest(self) -> float:
@@ -77,9 +67,8 @@ class Odometry:
             last, before = self._kept[-1]
             back = stamp <= last
             if back and last - stamp <= self._config.clock_jump_s:
-                self.late += 1
                 return None
-            jump = self._jump(before, T_odom_base, math.inf if back else stamp - last, back)
+            jump = self._jump(before, T_odom_base, 0.0 if back else stamp - last)
             if jump is not None or back:
                 self._kept.clear()
         self._kept.append((stamp, T_odom_base))
@@ -87,29 +76,20 @@ class Odometry:
             self._kept.popleft()
         return jump
 
-    def _jump(self, before: Pose, after: Pose, seconds: float, back: bool) -> Jump | None:
-        """Detect a jump; after a new clock, speed is unknown and only the step counts."""
+    def _jump(self, before: Pose, after: Pose, seconds: float) -> Jump | None:
+        """Detect a jump; with a new clock, after 0 s, only the step counts, not the speed."""
         config, step = self._config, geometry.inverse(before) @ after
         metres = float(np.linalg.norm(step[:3, 3]))
         degrees = math.degrees(geometry.rotation_angle(step))
-        time = 0.0 if back else seconds
-        far = metres > max(config.jump_m, config.max_speed_mps * time)
-        turned = degrees > max(config.jump_deg, config.max_turn_dps * time)
+        far = metres > max(config.jump_m, config.max_speed_mps * seconds)
+        turned = degrees > max(config.jump_deg, config.max_turn_dps * seconds)
         if not (far or turned):
             return None
         size = f"{metres:.1f} m" if far else f"{degrees:.0f} degrees"
         return Jump(after @ geometry.inverse(before), f"the odometry jumped by {size}")
 
     def cover(self, first: float, last: float, now: float) -> Cover:
-        """Return whether poses cover the time from one stamp to another.
-
-        Parameters
-        ----------
-        first, last : float
-            Seconds.
-        now : float
-            The newest stamp received.
-        """
+        """Return whether poses cover a time [s]; ``now`` is the newest stamp received."""
         if self.newest < last:
             return Cover.LATER if now <= last + self._config.wait_s else Cover.NEVER
         if self._kept[0][0] > first:

@@ -19,7 +19,7 @@ from .core import LiveCore, State
 from .kept_pose import PoseKeeper
 from .localizer import LiveLocalizer
 
-NOMINAL_S, NOMINAL_MPS = 0.1, 10.0
+_NOMINAL_S, _NOMINAL_MPS = 0.1, 10.0
 """Interval of scans without stamps, and speed limit for it."""
 
 SUMMARY = {
@@ -81,48 +81,37 @@ class _Listener:
         self._positions = {float(stamp): i for i, stamp in enumerate(clock)}
         self._on_state = on_state
         self.states: dict[int, State] = {}
-        self._latency: list[float] = []
-        self._query: list[float] = []
+        self.latency_ms: list[float] = []
+        self.query_ms: list[float] = []
 
     def __call__(self, state: State) -> None:
         position = self._positions.get(state.stamp)
-        if position is None:
-            return
-        self._keep(position, state)
-        self._tell(position)
+        if position is not None:
+            self.add(position, [state])
 
     def add(self, position: int, states: list[State]) -> None:
         """Add the states at a scan; the last one counts."""
         for state in states:
-            self._keep(position, state)
-        self._tell(position)
-
-    def _keep(self, position: int, state: State) -> None:
-        self.states[position] = state
-        if state.latency_ms is not None:
-            which = self._latency if state.answered is None else self._query
-            which.append(state.latency_ms)
-
-    def _tell(self, position: int) -> None:
+            self.states[position] = state
+            if state.latency_ms is not None:
+                times = self.latency_ms if state.answered is None else self.query_ms
+                times.append(state.latency_ms)
         if self._on_state is not None and position in self.states:
             self._on_state(position, self.states[position])
 
-    def replay(self, scans: int, dropped: int) -> Replay:
-        return Replay(self.states, np.array(self._latency), np.array(self._query), scans, dropped)
 
-
-def clock_of(recording: Recording) -> Float64:
+def _clock(recording: Recording) -> Float64:
     """Stamps of the scans [s], (N,); without any, every tenth of a second or by 10 m/s."""
     if recording.stamps is not None:
         return np.array(recording.stamps, dtype=np.float64)
     if recording.poses is None:
-        return NOMINAL_S * np.arange(len(recording), dtype=np.float64)
+        return _NOMINAL_S * np.arange(len(recording), dtype=np.float64)
     steps = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
-    seconds = np.maximum(NOMINAL_S, steps / NOMINAL_MPS)
+    seconds = np.maximum(_NOMINAL_S, steps / _NOMINAL_MPS)
     return np.concatenate([[0.0], np.cumsum(seconds)])
 
 
-def motion_of(recording: Recording) -> Float64 | None:
+def _motion(recording: Recording) -> Float64 | None:
     """T_odom_sensor, (N, 4, 4): only the motion between the recording's poses is left.
 
     The first scan stands at the origin and heads along x. None if there are no poses: the motion
@@ -168,30 +157,40 @@ def play(
     MissingDependency
         If there are no poses, and kiss-icp is not installed.
     """
-    clock, poses = clock_of(recording), motion_of(recording)
-    speed = rate or 1.0
-    listener = _Listener(clock / speed, on_state)
-    play = _in_time if rate > 0 else _in_turn
-    scans, dropped = play(
-        localizer, recording, config, clock / speed, poses, listener, progress or _silent, keeper
-    )
+    clock, poses = _clock(recording) / (rate or 1.0), _motion(recording)
+    listener = _Listener(clock, on_state)
+    alone = poses is None
+    progress = progress or (lambda done, total: None)
+    if rate > 0:
+        with LiveLocalizer(
+            localizer,
+            config,
+            T_base_sensor=np.eye(4),
+            lidar_odometry=alone,
+            keeper=keeper,
+            on_state=listener,
+        ) as live:
+            missed = _in_time(live, recording, clock, poses, progress)
+            scans, dropped = live.scans, live.dropped + missed
+    else:
+        core = LiveCore(localizer, config, np.eye(4), lidar_odometry=alone, keeper=keeper)
+        _in_turn(core, recording, clock, poses, listener, progress)
+        scans, dropped = core.scans, core.dropped
     if keeper is not None:
         keeper.flush()
-    return listener.replay(scans, dropped)
+    times = np.array(listener.latency_ms), np.array(listener.query_ms)
+    return Replay(listener.states, *times, scans, dropped)
 
 
 def _in_turn(
-    localizer: Localizer,
+    core: LiveCore,
     recording: Recording,
-    config: LiveConfig | None,
     clock: Float64,
     poses: Float64 | None,
     listener: _Listener,
     progress: Progress,
-    keeper: PoseKeeper | None,
-) -> tuple[int, int]:
+) -> None:
     """Every query is answered before the next scan comes."""
-    core = LiveCore(localizer, config, np.eye(4), lidar_odometry=poses is None, keeper=keeper)
     for i, stamp in enumerate(clock.tolist()):
         scan = recording.scan(i)
         begun = time.perf_counter()
@@ -201,52 +200,36 @@ def _in_turn(
             states += _timed([core.answer(pending, core.ask(pending))], begun)
         listener.add(i, states)
         progress(i + 1, len(recording))
-    return core.scans, core.dropped
 
 
 def _in_time(
-    localizer: Localizer,
+    live: LiveLocalizer,
     recording: Recording,
-    config: LiveConfig | None,
     clock: Float64,
     poses: Float64 | None,
-    listener: _Listener,
     progress: Progress,
-    keeper: PoseKeeper | None,
-) -> tuple[int, int]:
-    """Replay in real time; scans that cannot be read in time are dropped."""
+) -> int:
+    """Replay in real time; return the number of scans that could not be read in time."""
     missed, count = 0, len(recording)
-    with LiveLocalizer(
-        localizer,
-        config,
-        T_base_sensor=np.eye(4),
-        lidar_odometry=poses is None,
-        keeper=keeper,
-        on_state=listener,
-    ) as live:
-        begun = time.monotonic() - clock[0]
-        for i in range(count):
-            now = time.monotonic() - begun
-            if poses is not None:
-                live.add_odometry(clock[i], poses[i])
-            if i + 1 < count and now > clock[i + 1]:
-                missed += 1
-                continue
-            scan = recording.scan(i)
-            time.sleep(max(0.0, clock[i] - (time.monotonic() - begun)))
-            live.add_scan(scan, clock[i])
-            progress(i + 1, count)
-        live.flush()
-        return live.scans, live.dropped + missed
+    begun = time.monotonic() - clock[0]
+    for i in range(count):
+        now = time.monotonic() - begun
+        if poses is not None:
+            live.add_odometry(clock[i], poses[i])
+        if i + 1 < count and now > clock[i + 1]:
+            missed += 1
+            continue
+        scan = recording.scan(i)
+        time.sleep(max(0.0, clock[i] - (time.monotonic() - begun)))
+        live.add_scan(scan, clock[i])
+        progress(i + 1, count)
+    live.flush()
+    return missed
 
 
 def _timed(states: list[State], begun: float) -> list[State]:
     now = time.perf_counter()
     return [replace(state, latency_ms=1e3 * (now - begun)) for state in states]
-
-
-def _silent(done: int, total: int) -> None:
-    pass
 
 
 def pose_errors(replay: Replay, truths: Float64) -> tuple[Float64, Float64]:
@@ -316,9 +299,10 @@ def summary(
 
 
 def _percentiles(values: NDArray[np.float64]) -> dict[str, float | None]:
-    if not len(values):
-        return {f"p{share}": None for share in _SHARES}
-    return {f"p{share}": round(float(np.percentile(values, share)), 2) for share in _SHARES}
+    return {
+        f"p{share}": round(float(np.percentile(values, share)), 2) if len(values) else None
+        for share in _SHARES
+    }
 
 
 def _spread(values: Float64) -> dict[str, float | None]:
