@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from . import geometry
-from .system.above import from_above
+from .system import from_above
 from .types import AttitudeSource, Float64, Pose
 
 if TYPE_CHECKING:

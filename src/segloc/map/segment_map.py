@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
-from ..system.above import from_above
+from ..system import from_above
 from ..system.section import Section
 from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile

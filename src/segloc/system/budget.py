@@ -46,12 +46,7 @@ def most_message_bytes() -> int:
 
 
 def check_points(count: int, what: str = "points") -> None:
-    """Reject more points, or rows, than a scan may have.
-
-    Raises
-    ------
-    DatasetError
-    """
+    """Reject more points, or rows, than a scan may have, by a :class:`DatasetError`."""
     if count > (limit := most_points()):
         raise DatasetError(
             f"{_figure(count)} {what}: more than {limit}; increase {OPTION} to read them"
@@ -59,12 +54,7 @@ def check_points(count: int, what: str = "points") -> None:
 
 
 def check_bytes(count: int, what: str, limit: int | None = None) -> None:
-    """Reject more bytes than a scan may have, or than ``limit``.
-
-    Raises
-    ------
-    DatasetError
-    """
+    """Reject more bytes than a scan may have, or than ``limit``, by a :class:`DatasetError`."""
     if count > (limit := most_bytes() if limit is None else limit):
         raise DatasetError(
             f"{what} of {_figure(count)} bytes: more than {limit}; increase {OPTION} (now "

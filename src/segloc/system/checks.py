@@ -1,4 +1,4 @@
-"""Validation of arrays; every fault is named in one line."""
+"""Validation of arrays; every fault is an :class:`InvalidScan` that names it in one line."""
 
 from __future__ import annotations
 
@@ -43,13 +43,7 @@ def _number(value: float, name: str, unit: str) -> float:
 
 
 def checked_points(points: ArrayLike) -> Float32:
-    """Return x, y, z of ``points`` as (N, 3) float32, C-contiguous; may be infinite or NaN.
-
-    Raises
-    ------
-    InvalidScan
-        If the shape or dtype is wrong.
-    """
+    """Return x, y, z of ``points`` as (N, 3) float32, C-contiguous; may be infinite or NaN."""
     array = as_array(points, "points")
     if array.ndim != 2 or array.shape[1] < 3:
         raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
@@ -64,39 +58,21 @@ def checked_points(points: ArrayLike) -> Float32:
 
 
 def checked_local_points(points: ArrayLike) -> Float32:
-    """Check a local cloud like :func:`checked_points`; finite and within ``MAX_LOCAL_METRES``.
-
-    Raises
-    ------
-    InvalidScan
-        If the shape or dtype is wrong; names the first row with an invalid value.
-    """
+    """Check a local cloud like :func:`checked_points`; finite and within ``MAX_LOCAL_METRES``."""
     array = checked_points(points)
     check_finite(array, "points", MAX_LOCAL_METRES)
     return array
 
 
 def checked_count(count: int, name: str) -> int:
-    """Return a positive integer.
-
-    Raises
-    ------
-    InvalidScan
-        If it is not one.
-    """
+    """Return a positive integer."""
     if not isinstance(count, int) or count < 1:
         raise InvalidScan(f"{name} must be a positive whole number, not {count!r}")
     return count
 
 
 def edge_if_given(edge: float | None, name: str) -> float | None:
-    """Return the edge of a voxel as a positive number of metres, or None.
-
-    Raises
-    ------
-    InvalidScan
-        If it is not a positive finite number.
-    """
+    """Return the edge of a voxel as a positive finite number of metres, or None."""
     if edge is None:
         return None
     value = _number(edge, name, "metres")
@@ -106,12 +82,9 @@ def edge_if_given(edge: float | None, name: str) -> float | None:
 
 
 def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-    """Return ``values`` in a dtype and shape (-1: any), C-contiguous; copied only if necessary.
+    """Return finite ``values`` in a dtype and shape (-1: any), C-contiguous.
 
-    Raises
-    ------
-    InvalidScan
-        If the shape or dtype is wrong, or a value is not finite; names the first such row.
+    They are copied only if necessary.
     """
     array = as_array(values, name)
     fits = array.ndim == len(shape) and all(
@@ -128,12 +101,7 @@ def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DT
 
 
 def check_finite(rows: NDArray[Any], name: str, most: float = np.inf) -> None:
-    """Reject values that are not finite, or beyond ``most``; names the first row with one.
-
-    Raises
-    ------
-    InvalidScan
-    """
+    """Reject values that are not finite, or beyond ``most``; names the first row with one."""
     if rows.dtype.kind != "f" or not rows.size:
         return
     flat = rows.reshape(len(rows), -1)
@@ -155,13 +123,7 @@ def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
 
 
 def checked_direction(direction: ArrayLike) -> Float64:
-    """Return a direction of gravity as a unit vector, (3,) float64.
-
-    Raises
-    ------
-    InvalidScan
-        If it is not three finite numbers, or has length zero.
-    """
+    """Return a direction of gravity as a unit vector, (3,) float64."""
     try:
         vector: Float64 = np.array(direction, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -177,13 +139,7 @@ def checked_direction(direction: ArrayLike) -> Float64:
 
 
 def checked_angle(degrees: float, name: str) -> float:
-    """Return an angle from 0 to 180 degrees.
-
-    Raises
-    ------
-    InvalidScan
-        If it is out of range.
-    """
+    """Return an angle from 0 to 180 degrees."""
     value = _number(degrees, name, "degrees")
     if not 0 <= value <= 180:
         raise InvalidScan(f"{name} must be from 0 to 180, not {value}")
@@ -191,13 +147,7 @@ def checked_angle(degrees: float, name: str) -> float:
 
 
 def checked_stamp(stamp: float | None) -> float | None:
-    """Return a stamp as a finite float, or None.
-
-    Raises
-    ------
-    InvalidScan
-        If it is not a finite number.
-    """
+    """Return a stamp as a finite float, or None."""
     if stamp is None:
         return None
     value = _number(stamp, "stamp", "seconds")
@@ -207,14 +157,7 @@ def checked_stamp(stamp: float | None) -> float | None:
 
 
 def checked_pose(pose: ArrayLike, name: str) -> Pose:
-    """Return a copy of ``pose`` as a (4, 4) float64 rigid transform.
-
-    Raises
-    ------
-    InvalidScan
-        If the shape is wrong, a value is not finite, the rotation is invalid (beyond 1e-3), or the
-        position is farther than ``MAX_METRES`` from the origin.
-    """
+    """Return a copy of ``pose`` as a (4, 4) float64 rigid transform within ``MAX_METRES``."""
     T: Pose = as_array(pose, name, np.float64).copy()
     if T.shape != (4, 4):
         raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}")
@@ -241,13 +184,7 @@ def _rotation_fault(R: Float64) -> str:
 
 
 def checked_poses(poses: ArrayLike, count: int, name: str) -> Float64:
-    """Return a copy of ``poses`` as (count, 4, 4) float64 rigid transforms.
-
-    Raises
-    ------
-    InvalidScan
-        If their number differs, or one is invalid; names the first that is.
-    """
+    """Return a copy of ``poses`` as (count, 4, 4) float64 rigid transforms."""
     array: Float64 = as_array(poses, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise InvalidScan(f"{name} must have shape ({count}, 4, 4), not {array.shape}")
@@ -269,6 +206,4 @@ def are_rotations(R: Float64) -> NDArray[np.bool_]:
 
 
 def _shown(shape: tuple[int, ...]) -> str:
-    return (
-        "(" + ", ".join("N" if n < 0 else str(n) for n in shape) + ("," * (len(shape) == 1)) + ")"
-    )
+    return str(tuple("N" if n < 0 else n for n in shape)).replace("'", "")

@@ -32,8 +32,8 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
     path : path
         Need not exist; its folder must.
     waiting : callable, optional
-        Called once if another holds the lock.
         Called once if another process holds the lock.
+
     Raises
     ------
     SeglocError
