@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import typer
+from samples.documents import code, documents
 from samples.source import PROJECT
 
 from segloc.cli import app
@@ -17,6 +18,7 @@ from segloc.cli import app
 BY_EXPERIMENTS = {"bench", "evaluate"}
 """Verbs that segloc-lab adds, or adds to: unknown parts are its where it is missing."""
 
+_FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(r"`segloc ([^`]+)`")
 _ALTERNATIVES = re.compile(r"[\w-]+(\|[\w-]+)+")
 
@@ -30,24 +32,15 @@ class Command(NamedTuple):
 
 
 def commands(path: Path) -> Iterator[Command]:
-    """Lines of code blocks that begin with ``segloc``, and spans of code that do."""
-    fenced, before = False, ""
-    for number, part in enumerate(path.read_text("utf-8").splitlines(), 1):
-        line, before = before + part, ""
-        if line.endswith("\\"):
-            before = line[:-1]
-            continue
-        place = f"{path.relative_to(PROJECT)}:{number}"
-        if line.startswith("```"):
-            fenced = not fenced
-        elif fenced or line.startswith("    "):
-            if line.strip().startswith("segloc "):
-                yield Command(place, tuple(_words(line)[1:]), whole=True)
-        else:
-            yield from (
-                Command(place, tuple(_words(found[1])), whole=False)
-                for found in _SPAN.finditer(line)
-            )
+    """Those of code blocks, and spans of code in the text."""
+    for each in code(path):
+        if each.text.startswith("segloc "):
+            yield Command(each.place, tuple(_words(each.text)[1:]), whole=True)
+    text = _FENCED.sub(lambda block: "\n" * block[0].count("\n"), path.read_text("utf-8"))
+    for number, line in enumerate(text.splitlines(), 1):
+        for found in _SPAN.finditer("" if line.startswith("    ") else line):
+            place = f"{path.relative_to(PROJECT)}:{number}"
+            yield Command(place, tuple(_words(found[1])), whole=False)
 
 
 def _words(text: str) -> list[str]:
@@ -84,10 +77,7 @@ def _options(parameter: Any) -> list[str]:
     return [*parameter.opts, *parameter.secondary_opts]
 
 
-DOCUMENTS = [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
-
-
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(PROJECT)))
+@pytest.mark.parametrize("path", documents(), ids=lambda path: str(path.relative_to(PROJECT)))
 def test_documented_commands_exist(path: Path) -> None:
     root: Any = typer.main.get_command(app)
     complete = "bench" in root.commands

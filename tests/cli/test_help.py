@@ -123,9 +123,6 @@ def test_a_key_that_is_misspelt_is_guessed(tmp_path: Any) -> None:
             Config.load(file)
 
 
-"""Of numbers without a unit."""
-
-
 @pytest.mark.parametrize(
     ("text", "shown"),
     [

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 from pathlib import Path
-from types import ModuleType
 
-from samples.source import PROJECT
-
-
-def loaded() -> ModuleType:
-    path = PROJECT / "packaging" / "address.py"
-    spec = importlib.util.spec_from_file_location("address", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from samples.source import PROJECT, loaded
 
 
 def test_the_address_is_replaced_everywhere_and_can_be_again(tmp_path: Path) -> None:
-    address, pages = loaded(), ["README.md", "pyproject.toml", "CITATION.cff"]
+    address = loaded(PROJECT / "packaging" / "address.py")
+    pages = ["README.md", "pyproject.toml", "CITATION.cff"]
     for name in pages:
         shutil.copy(PROJECT / name, tmp_path)
     files = [tmp_path / name for name in pages]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -12,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.source import PROJECT, loaded
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc.datasets import formats, open_sequence
@@ -19,8 +18,7 @@ from segloc.datasets.formats import Format
 from segloc.descriptors import available, base, create
 from segloc.io import Trajectory, write_tum
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "how-to" / "extend.md").read_text("utf-8")
+PAGE = (PROJECT / "docs" / "how-to" / "extend.md").read_text("utf-8")
 FENCED = re.compile(r"^```\w+\n# (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCKS = dict(FENCED.findall(PAGE))
 
@@ -37,15 +35,11 @@ def listed(title: str) -> list[str]:
     return re.findall(r"^\| `([^`]+)` \|", section(title), re.MULTILINE)
 
 
-def loaded(path: str, folder: Path) -> ModuleType:
+def written(path: str, folder: Path) -> ModuleType:
     """The module of one of the page's blocks."""
     file = folder / Path(path).name
     file.write_text(BLOCKS[path], encoding="utf-8")
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(file)
 
 
 @pytest.mark.parametrize("what", ["descriptor", "loader", "sensor", "study", "kernel"])
@@ -53,7 +47,7 @@ def test_the_files_of_each_recipe_are_where_it_says(what: str) -> None:
     files = listed(f"Add a {what}")
     assert files
     for name in files:
-        path = ROOT / name
+        path = PROJECT / name
         # NAME stands for the new file: its folder must be there.
         assert (path.parent if "NAME" in name else path).exists(), name
 
@@ -93,7 +87,7 @@ def plugin_of(text: str) -> tuple[str, str, str]:
 
 
 def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    yard = loaded("src/segloc/datasets/loaders/yard.py", tmp_path)
+    yard = written("src/segloc/datasets/loaders/yard.py", tmp_path)
     drive = tmp_path / "drive"
     (drive / "cloud").mkdir(parents=True)
     rng = np.random.default_rng(0)
@@ -115,7 +109,7 @@ def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     workspaces = pytest.importorskip("segloc_lab.studies.paper.workspace")
-    counting = loaded("lab/src/segloc_lab/studies/paper/counting.py", tmp_path)
+    counting = written("lab/src/segloc_lab/studies/paper/counting.py", tmp_path)
     monkeypatch.setitem(sys.modules, "segloc_lab.studies.paper.counting", counting)
     workspace = workspaces.Workspace(tmp_path / "out", methods=("geo", "profile"))
     study = workspaces.run("counting", workspace)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 import re
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
-from samples.source import PROJECT
+from samples.source import PROJECT, loaded
 from samples.walk import run
 
 from segloc import SegmentMap
@@ -20,23 +18,12 @@ from segloc import SegmentMap
 IMAGES = PROJECT / "docs" / "images"
 
 
-def loaded(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, IMAGES / f"{name}.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules[name] = module  # its dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
 def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
     """Scan, pose and matches."""
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     image = pytest.importorskip("PIL.Image")
-    hero = loaded("hero")
+    hero = loaded(IMAGES / "hero.py")
     prior_map, found = hero.answered(hero.QUERY)
     drawn = image.open(io.BytesIO(hero.picture(prior_map, found))).convert("RGB")
     with image.open(IMAGES / "hero.png") as kept:
@@ -51,7 +38,7 @@ def test_the_demo_tells_right_from_elsewhere_and_its_pictures_are_the_kept_ones(
     """The counts in the legend but for one or two, the rest to the eye."""
     pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
     image = pytest.importorskip("PIL.Image")
-    out, demo = tmp_path / "demo", loaded("demo")
+    out, demo = tmp_path / "demo", loaded(IMAGES / "demo.py")
     assert run("demo", "--out", out) == 0
     assert "refused" in capsys.readouterr().out
     again, other = (

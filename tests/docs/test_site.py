@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 from types import ModuleType
 from typing import Any
 
 import pytest
 import typer
-from samples.source import PROJECT
+from samples.source import PROJECT, loaded
 
 from segloc.cli import app
 from segloc.live.core import StateReason
@@ -19,11 +18,7 @@ from segloc.localization import Reason
 
 @pytest.fixture(scope="module")
 def site() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("site_pages", PROJECT / "docs" / "site.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(PROJECT / "docs" / "site.py")
 
 
 @pytest.mark.parametrize(

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from types import ModuleType
 
 import pytest
-from samples.source import PROJECT
-
-
-def loaded() -> ModuleType:
-    path = PROJECT / "docs" / "wrong_inputs.py"
-    spec = importlib.util.spec_from_file_location("wrong_inputs", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from samples.source import PROJECT, loaded
 
 
 @pytest.mark.slow
 def test_each_wrong_input_is_answered_as_the_table_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some of them: tests/doctor has all, without the verbs."""
-    wrong_inputs = loaded()
+    wrong_inputs = loaded(PROJECT / "docs" / "wrong_inputs.py")
     monkeypatch.setattr(wrong_inputs, "WRONG", wrong_inputs.WRONG[1::5])
     table, kept = wrong_inputs.table(), wrong_inputs.kept(wrong_inputs.PAGE.read_text("utf-8"))
 

@@ -1,13 +1,27 @@
-"""Imports of modules, read from the source."""
+"""Modules of the project: files outside of packages, and imports read from the source."""
 
 from __future__ import annotations
 
 import ast
 import functools
+import importlib.util
+import sys
 from pathlib import Path
+from types import ModuleType
 
 PROJECT = Path(__file__).resolve().parents[2]
 ROOT = "__init__"  # the package itself, among names that leave it out
+
+
+def loaded(path: Path) -> ModuleType:
+    """Import a file that is in no package."""
+    name = f"loaded_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # its dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
 class Package:
