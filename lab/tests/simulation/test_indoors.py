@@ -2,51 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
-from segloc_lab.simulation import (
-    Conditions,
-    Route,
-    Scene,
-    World,
-    building,
-    mine,
-    offices,
-    simulate_sessions,
-    vlp16,
-    warehouse,
-)
+from segloc_lab.simulation import SCENES, Conditions, Route, Scene, World, building
 from segloc_lab.simulation.drives import lane
 from segloc_lab.simulation.worlds.mine import skin
 
-from segloc.errors import ConfigError
 from segloc.types import Float64
 
 pytestmark = pytest.mark.slow
 
 SIZES = {"warehouse": 60.0, "offices": 40.0, "building": 40.0, "mine": 70.0}
-MAKERS: dict[str, Callable[..., World]] = {
-    "warehouse": warehouse,
-    "offices": offices,
-    "building": building,
-    "mine": mine,
-}
 
 
-@pytest.fixture(scope="module", params=sorted(MAKERS))
+@pytest.fixture(scope="module", params=sorted(SIZES))
 def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
 @pytest.fixture(scope="module")
 def world(kind: str) -> World:
-    return MAKERS[kind](5, size_m=SIZES[kind])
+    return SCENES[kind](5, size_m=SIZES[kind])
 
 
 def of_kind(world: World, kind: str) -> list[Float64]:
@@ -102,30 +82,6 @@ def test_goods_and_furniture_are_replaced_inside_on_their_storey(kind: str, worl
     assert again.kinds == stays.kinds
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: warehouse(0, size_m=1000.0),
-        lambda: building(0, storeys=0),
-        lambda: building(0, storeys=21),
-        lambda: building(0, differ=1.5),
-        lambda: building(0, differ=float("nan")),
-        lambda: building(5, size_m=40.0).floor(5),
-        lambda: warehouse(5, size_m=60.0).floor(-1),
-        lambda: simulate_sessions(
-            offices(5, size_m=40.0), vlp16(30), [Conditions()], length_m=20.0, storey=1
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(make: Callable[[], object]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        make()
-    assert "\n" not in str(caught.value)
-
-
-# --- halls ----------------------------------------------------------------------------------------
-
-
 # --- storeys --------------------------------------------------------------------------------------
 
 
@@ -163,14 +119,6 @@ def test_storeys_have_one_plan_and_furniture_as_they_should() -> None:
     )
 
 
-def walls(house: World, storey: int) -> Float64:
-    """(N, 2) corners of the walls of a storey, seen from above."""
-    assert house.interior is not None
-    corners = np.concatenate(of_kind(house, "wall"))
-    on = np.floor((corners[:, 2] + 0.31) / house.interior.storeys[1]) == storey
-    return np.unique(np.round(corners[on, :2], 2), axis=0)
-
-
 # --- mines ----------------------------------------------------------------------------------------
 
 
@@ -189,6 +137,3 @@ def test_the_skin_of_a_ball_is_a_closed_sphere() -> None:
     )
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all()  # every edge joins two triangles: no holes
-
-
-# --- what segloc makes of them --------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,15 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
-from segloc_lab.simulation import (
-    Conditions,
-    Route,
-    Scene,
-    World,
-    forest,
-    meadow,
-    park,
-)
+from segloc_lab.simulation import SCENES, Conditions, Route, Scene, World
 from segloc_lab.simulation.objects.mesh import LEAF, Mesh, Objects
 from segloc_lab.simulation.objects.scene import Hits, Terrain
 from segloc_lab.simulation.objects.vegetation import EVERGREEN, SPECIES, grow
@@ -27,17 +17,11 @@ from segloc_lab.simulation.objects.vegetation import EVERGREEN, SPECIES, grow
 pytestmark = pytest.mark.slow
 
 SIZES = {"park": 150.0, "meadow": 120.0, "forest": 100.0}
-MAKERS: dict[str, Callable[..., World]] = {"park": park, "meadow": meadow, "forest": forest}
 
 
-@pytest.fixture(scope="module", params=sorted(MAKERS))
-def kind(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
-@pytest.fixture(scope="module")
-def world(kind: str) -> World:
-    return MAKERS[kind](5, size_m=SIZES[kind])
+@pytest.fixture(scope="module", params=sorted(SIZES))
+def world(request: pytest.FixtureRequest) -> World:
+    return SCENES[request.param](5, size_m=SIZES[request.param])
 
 
 # --- worlds ---------------------------------------------------------------------------------------
@@ -57,9 +41,6 @@ def test_routes_are_clear(world: World) -> None:
         assert hits.ranges[hits.object_ids > 0].min() > 0.7
         climb = np.diff(poses[:, 2, 3]) / 0.5
         assert np.abs(climb).max() < 0.35
-
-
-# --- what a LiDAR makes of them -------------------------------------------------------------------
 
 
 # --- trees ----------------------------------------------------------------------------------------

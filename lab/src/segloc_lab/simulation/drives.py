@@ -71,8 +71,15 @@ def _shares(
 
 def lane(world: World, session: int) -> float:
     """Metres right of the centre line, another in each session; less where ways are narrow."""
-    narrowest = min(street.half_width for street in world.roads.streets)
-    return _LANES[session % len(_LANES)] * min(1.0, narrowest / _LANE_OF)
+    return _LANES[session % len(_LANES)] * lane_scale(world)
+
+
+def lane_scale(world: World) -> float:
+    """The share of a lane's distance from the centre line that the ways of a world have room for.
+
+    A lane is meant for streets of 3.4 m to either side.
+    """
+    return min(1.0, min(street.half_width for street in world.roads.streets) / _LANE_OF)
 
 
 def simulate_sessions(

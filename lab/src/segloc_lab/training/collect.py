@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +31,11 @@ from ..simulation import (
     SimulatedSequence,
     simulate_session,
 )
+from ..simulation.drives import lane_scale, mapped_way
 from .extract import ExtractConfig, extract_session
 from .session_registration import Registration
 from .shards import Session, finished, options_of, read_array, write_shard
 
-_LANE_OF = 3.4  # half the width of a street with room for all lanes [m]
 _SWEEP_SPACING_M = 0.15
 _USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
 _CARRIERS = {"town": ("car",), "terraces": ("car",)}
@@ -125,12 +126,10 @@ def simulated_drive(spec: WorldSpec, k: int) -> SimulatedSequence:
     world = SCENES[spec.scene](spec.seed)
     sensor = SENSORS[drive.sensor]().thinned(drive.thin)
     rng = np.random.default_rng([spec.seed, 31])
-    start = int(rng.integers(len(world.roads.nodes)))
-    way = world.roads.walk(rng, [start], spec.length_m, avoid=[])
-    narrowest = min(street.half_width for street in world.roads.streets)
+    way = mapped_way(world, rng, spec.length_m)
     route = Route(
         tuple(way[::-1] if drive.reverse else way),
-        drive.lane_m * min(1.0, narrowest / _LANE_OF),
+        drive.lane_m * lane_scale(world),
         _SWEEP_SPACING_M if sweeps(drive) else 2.0,
         spec.length_m,
     )
@@ -158,18 +157,6 @@ class Posed:
     recording: Recording
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Task to write one recording's shard in any process."""
-
-    folder: Path
-    item: Posed
-    before: tuple[Session, ...]
-    config: ExtractConfig
-    segmentation: SegmentationConfig
-    register: bool
-
-
 def collect_recordings(
     folder: Path,
     recordings: Sequence[Posed],
@@ -191,33 +178,39 @@ def collect_recordings(
         For :func:`~segloc_lab.training.shards.finish`.
     """
     sessions = [item.session for item in recordings]
-    tasks = [
-        _Task(folder, item, tuple(sessions[:k]), config, segmentation, register)
-        for k, item in enumerate(recordings)
-    ]
+    write = partial(_write_recording, folder, config, segmentation, register)
+    tasks = [(item, sessions[:k]) for k, item in enumerate(recordings)]
     for together in [[task] for task in tasks] if register else [tasks]:
-        for number, text in as_finished(_shard, together, executor):
-            progress(f"{together[number].item.session.name}: {text}")
+        for number, text in as_finished(write, together, executor):
+            progress(f"{together[number][0].session.name}: {text}")
     return sessions
 
 
-def _shard(task: _Task) -> str:
-    """Write a recording's shard, unless it exists, and return a summary."""
-    folder, before = task.folder, task.before
-    session, recording = task.item.session, task.item.recording
-    own = _for_sweeps(task.config) if is_push_broom(recording) else task.config
+def _write_recording(
+    folder: Path,
+    config: ExtractConfig,
+    segmentation: SegmentationConfig,
+    register: bool,
+    task: tuple[Posed, list[Session]],
+) -> str:
+    """Write a recording's shard, after the sessions before it, and return a summary."""
+    item, before = task
+    session, recording = item.session, item.recording
+    own = _for_sweeps(config) if is_push_broom(recording) else config
     options = options_of(
         own,
-        segmentation=task.segmentation.model_dump(mode="json"),
-        register=task.register,
+        segmentation=segmentation.model_dump(mode="json"),
+        register=register,
         before=[one.file for one in before],
         scans=_fingerprint(recording),
     )
     if finished(folder, session, options):
         return "exists"
-    registration = _registration(folder, before) if task.register and before else None
-    segmenter = Segmenter(task.segmentation)
-    extract = extract_session(recording, segmenter.segment, own, registration)
+    registration = None
+    if register and before:
+        structure = [read_array(folder, one, "structure") for one in before]
+        registration = Registration(np.concatenate(structure))
+    extract = extract_session(recording, Segmenter(segmentation).segment, own, registration)
     write_shard(folder, session, extract, options)
     return f"{len(extract)} segments{_told(registration)}"
 
@@ -232,11 +225,6 @@ def _fingerprint(recording: Recording) -> list[int | str]:
     poses = b"" if recording.poses is None else recording.poses.tobytes()
     ends = [int(recording.indices[0]), int(recording.indices[-1])]
     return [len(recording), *ends, hashlib.sha256(poses).hexdigest()[:16]]
-
-
-def _registration(folder: Path, before: Sequence[Session]) -> Registration:
-    structure = [read_array(folder, session, "structure") for session in before]
-    return Registration(np.concatenate(structure))
 
 
 def _told(registration: Registration | None) -> str:
@@ -263,43 +251,31 @@ def collect_worlds(
 
     The result does not depend on the executor or the number of workers.
     """
-    tasks = [
-        _WorldTask(folder, spec, k, config, segmentation)
-        for spec in worlds
-        for k in range(len(spec.drives))
-    ]
+    write = partial(_write_drive, folder, config, segmentation)
+    drives = [(spec, k) for spec in worlds for k in range(len(spec.drives))]
     done: list[Session] = []
     with single_threaded_pool(workers) if executor is None else nullcontext(executor) as pool:
-        for _, (session, text) in as_finished(_world, tasks, pool):
+        for _, (session, text) in as_finished(write, drives, pool):
             progress(f"{session.place} {session.name}: {text}")
             done.append(session)
     return done
 
 
-@dataclass(frozen=True)
-class _WorldTask:
-    """Session k of a world."""
-
-    folder: Path
-    spec: WorldSpec
-    k: int
-    config: ExtractConfig
-    segmentation: SegmentationConfig
-
-
-def _world(task: _WorldTask) -> tuple[Session, str]:
-    """Write one session of one world in any process."""
-    folder, spec, k = task.folder, task.spec, task.k
-    config, segmentation = task.config, task.segmentation
+def _write_drive(
+    folder: Path,
+    config: ExtractConfig,
+    segmentation: SegmentationConfig,
+    drive: tuple[WorldSpec, int],
+) -> tuple[Session, str]:
+    """Write session k of a world."""
+    spec, k = drive
     session = Session(spec.name, f"session-{k}", spec.drives[k].sensor)
     options = options_of(
         config, segmentation=segmentation.model_dump(mode="json"), spec=spec.model_dump(), k=k
     )
     if finished(folder, session, options):
         return session, "exists"
-    segmenter = Segmenter(segmentation)
-    drive = simulated_drive(spec, k)
     own = _for_sweeps(config) if sweeps(spec.drives[k]) else config
-    extract = extract_session(drive, segmenter.segment, own)
+    extract = extract_session(simulated_drive(spec, k), Segmenter(segmentation).segment, own)
     write_shard(folder, session, extract, options)
     return session, f"{len(extract)} segments ({session.sensor})"

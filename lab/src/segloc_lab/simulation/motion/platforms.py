@@ -19,23 +19,14 @@ from ..worlds.roads import along
 from ..worlds.world import World
 
 
-@dataclass(frozen=True)
-class Footprint:
-    """Where a vehicle touches the ground: the corners of a rectangle, metres."""
-
-    wheelbase_m: float = 2.6
-    track_m: float = 1.5
-
-
-def driven_line(centre: Float64, offset: float, rounding_m: float = 2.5) -> Float64:
+def driven_line(centre: Float64, offset: float, rounding_m: float) -> Float64:
     """A lane beside a centre line, corners rounded as a vehicle drives them."""
     arc = arc_length(centre)
     s = np.arange(0.0, arc[-1], 0.25)
     even = np.stack([np.interp(s, arc, centre[:, k]) for k in (0, 1)], axis=1)
     smooth = gaussian_filter1d(even, rounding_m / 0.25, axis=0, mode="nearest")
-    tangent = gaussian_filter1d(
-        np.gradient(smooth, axis=0), 0.4 * rounding_m / 0.25, axis=0, mode="nearest"
-    )
+    ahead = np.gradient(smooth, axis=0)
+    tangent = gaussian_filter1d(ahead, 0.4 * rounding_m / 0.25, axis=0, mode="nearest")
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return np.asarray(smooth + offset * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1))
 
@@ -45,10 +36,11 @@ def on_ground(
     xy: Float64,
     yaw: Float64,
     height: float,
-    feet: Footprint | None = None,
+    wheelbase: float = 2.6,
+    track: float = 1.5,
     ride: float = 0.0,
 ) -> Float64:
-    """Poses (N, 4, 4) of a sensor ``height`` above a vehicle's footprint on the ground.
+    """Poses (N, 4, 4) of a sensor ``height`` above a vehicle on the ground.
 
     Parameters
     ----------
@@ -56,22 +48,22 @@ def on_ground(
         Where the vehicle is and where it heads, in order.
     height : float
         Metres.
-    feet : Footprint
-        Pitch and roll are those of the ground under it; a car's by default.
+    wheelbase, track : float
+        Between the points that touch the ground, metres; a car's by default. Pitch and roll are
+        those of the ground under them.
     ride : float
         How many neighbouring poses its springs smooth the ground over.
     """
-    feet = feet or Footprint()
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     wheel = [
-        terrain.height(*(xy + a * feet.wheelbase_m / 2 * ahead + b * feet.track_m / 2 * left).T)
+        terrain.height(*(xy + a * wheelbase / 2 * ahead + b * track / 2 * left).T)
         for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
     ]
     if ride > 0:
         wheel = [gaussian_filter1d(heights, ride, mode="nearest") for heights in wheel]
-    rise = (wheel[0] + wheel[1] - wheel[2] - wheel[3]) / (2 * feet.wheelbase_m)
-    bank = (wheel[0] + wheel[2] - wheel[1] - wheel[3]) / (2 * feet.track_m)
+    rise = (wheel[0] + wheel[1] - wheel[2] - wheel[3]) / (2 * wheelbase)
+    bank = (wheel[0] + wheel[2] - wheel[1] - wheel[3]) / (2 * track)
     x = np.column_stack([ahead, rise])
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     y = np.column_stack([left, bank])
@@ -211,15 +203,8 @@ class Platform:
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in (
-            "mount_height_m",
-            "speed_mps",
-            "turning_mps2",
-            "braking_mps2",
-            "wheelbase_m",
-            "track_m",
-            "ride_m",
-        ):
+        pace = ("speed_mps", "turning_mps2", "braking_mps2")
+        for name in ("mount_height_m", *pace, "wheelbase_m", "track_m", "ride_m"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
         if not np.isfinite(self.mount_rpy_deg).all():
@@ -243,24 +228,17 @@ class Platform:
         if self.flight is not None:
             poses = self.flight.poses(terrain, xy, yaw, distance, stamps, rng)
         else:
-            feet = Footprint(self.wheelbase_m, self.track_m)
-            poses = on_ground(terrain, xy, yaw, self.mount_height_m, feet, self._ride(distance))
+            ride = self.ride_m / float(np.median(np.diff(distance)))  # in knots
+            stance = (self.mount_height_m, self.wheelbase_m, self.track_m)
+            poses = on_ground(terrain, xy, yaw, *stance, ride)
         if self.gait is not None:
             poses = poses @ self.gait.sways(stamps, rng)
         if any(self.mount_rpy_deg):
-            poses = poses @ self._mount()
+            tilt = Rotation.from_euler("ZYX", self.mount_rpy_deg[::-1], degrees=True)
+            mount = np.eye(4)
+            mount[:3, :3] = tilt.as_matrix()
+            poses = poses @ mount
         return Motion(stamps, poses, distance)
-
-    def _mount(self) -> Float64:
-        """T_body_sensor of the tilted sensor, (4, 4)."""
-        roll, pitch, yaw = self.mount_rpy_deg
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
-        return T
-
-    def _ride(self, distance: Float64) -> float:
-        """``ride_m`` as a number of knots."""
-        return self.ride_m / float(np.median(np.diff(distance)))
 
     def _timetable(self, line: Float64) -> tuple[Float64, Float64, Float64]:
         """Distances along the line, when each is reached, and how fast."""

@@ -151,21 +151,9 @@ def simulate_session(
         rng = np.random.default_rng([seed, session, 50_021])
         motion, stamps = route.drive(world, platform or car(), rng, rate)
         poses = motion.at(stamps)
-    indices = np.arange(len(poses), dtype=np.int64)
-    return SimulatedSequence(
-        label,
-        world,
-        session,
-        sensor,
-        indices,
-        poses,
-        poses,
-        seed,
-        stamps,
-        motion,
-        skew,
-        conditions or Conditions(),
-    )
+    scans = (np.arange(len(poses), dtype=np.int64), poses, poses)
+    moving, conditions = (stamps, motion, skew), conditions or Conditions()
+    return SimulatedSequence(label, world, session, sensor, *scans, seed, *moving, conditions)
 
 
 @dataclass(frozen=True)
@@ -195,10 +183,9 @@ class OdometryNoise:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            if not getattr(self, item.name) >= 0:
-                raise ConfigError(
-                    f"{item.name} must not be negative, not {getattr(self, item.name)}"
-                )
+            value = getattr(self, item.name)
+            if not value >= 0:
+                raise ConfigError(f"{item.name} must not be negative, not {value}")
 
     def odometry(self, truth: Float64, rng: np.random.Generator) -> Float64:
         """T_odom_sensor (N, 4, 4) for true poses (N, 4, 4).

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from segloc.types import Float64
 
-from .mesh import Mesh, above, boxes, glass, join, quads, triangles, tubes
+from .mesh import Mesh, above, boxes, glass, join, quads, rectangle, triangles, tubes, xyz
 
 _TRIM, _WOOD, _STEEL, _CURTAIN = 0.6, 0.4, 0.3, 0.45
 
@@ -66,7 +66,8 @@ def facade(
         middle = rect[door, :2].mean()
         hole[door] = [middle - 0.55, middle + 0.55, z[0], z[0] + rng.uniform(2.0, 2.3)]
         parts.append(_entrance(rng, style, float(middle), width))
-    parts.append(quads(_rect(0, width, -0.8, style.base, 0.0), style.reflectance))
+    plinth = np.array([[0, width, -0.8, style.base]])
+    parts.append(quads(_rect_rows(plinth, 0.0), style.reflectance))
     parts.append(quads(_rect_rows(rect[blank], 0.0), style.reflectance))
     clear = rng.random(len(cell)) < 0.45
     if front:
@@ -85,24 +86,17 @@ def facade(
 def _openings(rng: np.random.Generator, style: FacadeStyle, rect: Float64) -> Float64:
     """Window openings (n, 4) u0, u1, z0, z1 in cells (n, 4)."""
     n = len(rect)
-    wide = np.minimum(
-        style.window[0] * rng.choice([1.0, 1.0, 0.6, 1.3], n), rect[:, 1] - rect[:, 0] - 0.3
-    )
+    usual = style.window[0] * rng.choice([1.0, 1.0, 0.6, 1.3], n)
+    wide = np.minimum(usual, rect[:, 1] - rect[:, 0] - 0.3)
     middle = rect[:, :2].mean(axis=1) + rng.normal(0, 0.06, n)
     low = rect[:, 2] + style.sill * rng.choice([1.0, 1.0, 1.0, 0.15], n)
     high = np.minimum(rect[:, 2] + style.sill + style.window[1], rect[:, 3] - 0.15)
     return np.stack([middle - wide / 2, middle + wide / 2, low, high], axis=1)
 
 
-def _rect(u0: float, u1: float, z0: float, z1: float, y: float) -> Float64:
-    return np.array([[u0, y, z0], [u1, y, z0], [u1, y, z1], [u0, y, z1]], dtype=float)
-
-
 def _rect_rows(rect: NDArray[np.float64], y: float) -> Float64:
     u0, u1, z0, z1 = rect.T
-    depth = np.full(len(rect), y)
-    corners = [(u0, z0), (u1, z0), (u1, z1), (u0, z1)]
-    return np.stack([np.stack([u, depth, z], axis=1) for u, z in corners], axis=1)
+    return xyz(np.stack([u0, u1, u1, u0], axis=1), y, np.stack([z0, z0, z1, z1], axis=1))
 
 
 def _wall_with_holes(
@@ -115,58 +109,36 @@ def _wall_with_holes(
     wall = [quads(_rect_rows(np.stack(strip, axis=1), 0.0), style.reflectance) for strip in around]
     face, pane = _rect_rows(hole, 0.0), _rect_rows(hole, style.recess)
     reveal = np.stack([face, np.roll(face, -1, 1), np.roll(pane, -1, 1), pane], axis=2)
-    ledge = np.stack([(a0 + a1) / 2, np.full(len(hole), -0.04), b0 - 0.04], axis=1)
-    size = np.stack([a1 - a0 + 0.16, np.full(len(hole), 0.16), np.full(len(hole), 0.07)], axis=1)
-    bar = np.stack([(a0 + a1) / 2, np.full(len(hole), style.recess - 0.03), (b0 + b1) / 2], axis=1)
-    post = np.stack([np.full(len(hole), 0.07), np.full(len(hole), 0.06), b1 - b0], axis=1)
-    return join(
-        [
-            *wall,
-            quads(reveal, style.reflectance),
-            glass(quads(pane[clear], 0.0)),
-            quads(pane[~clear], _CURTAIN),
-            boxes(ledge, size, _TRIM),
-            boxes(bar, post, _TRIM),
-        ]
-    )
+    middle = (a0 + a1) / 2
+    ledges = boxes(xyz(middle, -0.04, b0 - 0.04), xyz(a1 - a0 + 0.16, 0.16, 0.07), _TRIM)
+    bars = boxes(xyz(middle, style.recess - 0.03, (b0 + b1) / 2), xyz(0.07, 0.06, b1 - b0), _TRIM)
+    windows = [glass(quads(pane[clear], 0.0)), quads(pane[~clear], _CURTAIN)]
+    return join([*wall, quads(reveal, style.reflectance), *windows, ledges, bars])
 
 
 def _shutters(hole: Float64) -> Mesh:
     a0, a1, b0, b1 = hole.T
     wide = 0.45 * (a1 - a0)
-    parts = []
-    for middle in (a0 - 0.55 * wide, a1 + 0.55 * wide):
-        center = np.stack([middle, np.full(len(hole), -0.04), (b0 + b1) / 2], axis=1)
-        size = np.stack([wide, np.full(len(hole), 0.06), b1 - b0], axis=1)
-        parts.append(boxes(center, size, _WOOD))
-    return join(parts)
+    size, sides = xyz(wide, 0.06, b1 - b0), (a0 - 0.55 * wide, a1 + 0.55 * wide)
+    return join(boxes(xyz(side, -0.04, (b0 + b1) / 2), size, _WOOD) for side in sides)
 
 
 def _balconies(rng: np.random.Generator, rect: Float64) -> Mesh:
     deep, high = rng.uniform([0.8, 0.85], [1.6, 1.1])
     solid = rng.random() < 0.5
     wide = (rect[:, 1] - rect[:, 0]) * rng.uniform(0.7, 0.98)
-    middle = rect[:, :2].mean(axis=1)
-    n = len(rect)
-
-    def row(
-        dx: Float64 | float, y: float, dz: float, size: tuple[Float64 | float, float, float]
-    ) -> Mesh:
-        center = np.stack([middle + dx, np.full(n, y), rect[:, 2] + dz], axis=1)
-        full = np.stack(
-            [np.broadcast_to(size[0], n), np.full(n, size[1]), np.full(n, size[2])], axis=1
-        )
-        return boxes(center, full, 0.5)
-
-    parts = [row(0.0, -deep / 2, 0.0, (wide, deep, 0.18))]
+    x, z = rect[:, :2].mean(axis=1), rect[:, 2]
+    parts = [boxes(xyz(x, -deep / 2, z), xyz(wide, deep, 0.18), 0.5)]
     if solid:
-        parts.append(row(0.0, -deep, high / 2, (wide, 0.08, high)))
-        parts += [row(side * wide / 2, -deep / 2, high / 2, (0.08, deep, high)) for side in (-1, 1)]
+        parts.append(boxes(xyz(x, -deep, z + high / 2), xyz(wide, 0.08, high), 0.5))
+        for side in (-1, 1):
+            end = xyz(x + side * wide / 2, -deep / 2, z + high / 2)
+            parts.append(boxes(end, [0.08, deep, high], 0.5))
     else:
-        parts.append(row(0.0, -deep, high, (wide, 0.05, 0.06)))
-        parts += [
-            row(t * wide, -deep, high / 2, (0.03, 0.03, high)) for t in np.linspace(-0.5, 0.5, 12)
-        ]
+        parts.append(boxes(xyz(x, -deep, z + high), xyz(wide, 0.05, 0.06), 0.5))
+        for t in np.linspace(-0.5, 0.5, 12):
+            bar = xyz(x + t * wide, -deep, z + high / 2)
+            parts.append(boxes(bar, [0.03, 0.03, high], 0.5))
     return join(parts)
 
 
@@ -175,20 +147,13 @@ def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int
     wide, deep = rng.uniform([1.8, 0.5], [3.4, 1.1])
     middle = rng.uniform(wide / 2 + 0.3, width - wide / 2 - 0.3)
     top = style.base + style.floor_height * int(rng.integers(1, floors + 1)) - 0.2
-    cheek = 0.28 * wide
-    plan = np.array(
-        [[-wide / 2, 0], [-wide / 2 + cheek, -deep], [wide / 2 - cheek, -deep], [wide / 2, 0]]
-    )
-    plan[:, 0] += middle
-    a, b = plan[:-1], plan[1:]
+    half, cheek = wide / 2, 0.28 * wide
+    x = np.array([-half, -half + cheek, half - cheek, half]) + middle
+    y = np.array([0, -deep, -deep, 0])
+    side = np.array([[k, k + 1, k + 1, k] for k in range(3)])
 
     def band(low: float, high: float, reflectance: float, inward: float = 0.0) -> Mesh:
-        shift = np.array([0.0, inward])
-        foot = [
-            np.column_stack([p + shift, np.full(3, z)])
-            for p, z in ((a, low), (b, low), (b, high), (a, high))
-        ]
-        return quads(np.stack(foot, axis=1), reflectance)
+        return quads(xyz(x[side], y[side] + inward, [low, low, high, high]), reflectance)
 
     parts, low = [], -0.8
     for floor in range(round((top + 0.2 - style.base) / style.floor_height)):
@@ -197,8 +162,7 @@ def _bay(rng: np.random.Generator, style: FacadeStyle, width: float, floors: int
         parts.append(glass(band(sill, sill + 1.3, 0.0, 0.08)))
         low = sill + 1.3
     parts.append(band(low, top, style.reflectance))
-    roof = np.column_stack([plan, np.full(4, top)])
-    parts.append(quads(roof, 0.35))
+    parts.append(quads(xyz(x, y, top), 0.35))
     return join(parts)
 
 
@@ -207,10 +171,8 @@ def _entrance(rng: np.random.Generator, style: FacadeStyle, middle: float, width
     rise = style.base
     steps = max(1, int(np.ceil(rise / 0.18)))
     k = np.arange(steps)
-    center = np.column_stack(
-        [np.full(steps, middle), -0.15 - 0.15 * k, rise / 2 * (1 - k / steps) - 0.3]
-    )
-    size = np.column_stack([np.full(steps, 1.6), 0.3 + 0.3 * k, rise * (1 - k / steps) + 0.6])
+    center = xyz(middle, -0.15 - 0.15 * k, rise / 2 * (1 - k / steps) - 0.3)
+    size = xyz(1.6, 0.3 + 0.3 * k, rise * (1 - k / steps) + 0.6)
     parts = [boxes(center, size, 0.45)]
     kind = rng.choice(["none", "canopy", "porch"], p=[0.35, 0.35, 0.3])
     deep, wide, high = rng.uniform([0.7, 1.4, 2.4], [1.9, 3.0, 2.8])
@@ -220,15 +182,10 @@ def _entrance(rng: np.random.Generator, style: FacadeStyle, middle: float, width
         foot = np.array([[middle + s * 0.45 * wide, -deep + 0.1, -0.4] for s in (-1, 1)])
         radius = rng.uniform(0.06, 0.16)
         parts.append(tubes(foot, foot + above(rise + high + 0.4), [radius, radius], _TRIM))
-        ridge = np.array([[middle, -deep, rise + high + 0.9], [middle, 0, rise + high + 0.9]])
+        z = rise + high + np.array([0.9, 0.9, 0, 0])
         for s in (-1, 1):
-            eave = np.array(
-                [
-                    [middle + s * wide / 2, 0, rise + high],
-                    [middle + s * wide / 2, -deep, rise + high],
-                ]
-            )
-            parts.append(quads(np.concatenate([ridge, eave]), 0.35))
+            x = middle + s * wide / 2 * np.array([0, 0, 1, 1])
+            parts.append(quads(xyz(x, [-deep, 0, 0, -deep], z), 0.35))
     if width > 6 and rng.random() < 0.7:
         pipe = np.array([[rng.choice([0.25, width - 0.25]), -0.09, -0.4]])
         top = style.base + style.floor_height
@@ -258,9 +215,8 @@ def house(
         wing_width = rng.uniform(0.35, 0.5) * width
         wing_depth = rng.uniform(2.0, 4.0)
         side = rng.choice([-1, 1])
-        wing = _block(
-            rng, style, wing_width, wing_depth, max(1, floors - int(rng.integers(2))), flat=False
-        )
+        storeys = max(1, floors - int(rng.integers(2)))
+        wing = _block(rng, style, wing_width, wing_depth, storeys, flat=False)
         at = [side * (width - wing_width) / 2, -(depth + wing_depth) / 2 + 0.05, 0.0]
         # The wing reaches forward; the whole moves back so that the front stays where it was.
         parts = [part.moved([0, wing_depth / 2, 0]) for part in [*parts, wing.moved(at)]]
@@ -277,21 +233,13 @@ def _block(
     *,
     flat: bool,
 ) -> Mesh:
-    w, d = width / 2, depth / 2
-    sides = [
-        ((-w, -d), width, 0.0),
-        ((w, -d), depth, 0.5),
-        ((w, d), width, 1.0),
-        ((-w, d), depth, 1.5),
-    ]
-    parts = [
-        facade(rng, style, length, floors, front=k == 0).moved([*corner, 0], turn * np.pi)
-        for k, (corner, length, turn) in enumerate(sides)
-    ]
+    parts = []
+    for k, (x, y) in enumerate(rectangle([0, 0], (width, depth), 0.0)):
+        side = facade(rng, style, (width, depth)[k % 2], floors, front=k == 0)
+        parts.append(side.moved([x, y, 0], k * np.pi / 2))
     eaves = style.base + floors * style.floor_height
-    kind = (
-        "flat" if flat else str(rng.choice(["gable", "gable across", "hip"], p=[0.45, 0.25, 0.3]))
-    )
+    pitched = ["gable", "gable across", "hip"]
+    kind = "flat" if flat else str(rng.choice(pitched, p=[0.45, 0.25, 0.3]))
     parts.append(_roof(rng, kind, width, depth, eaves, style.reflectance))
     cross = rng.uniform(-0.2, 0.2, 2) * [width, depth]
     rooms = [[cross[0], 0, eaves / 2], [0, cross[1], eaves / 2]]
@@ -317,15 +265,8 @@ def _roof(
     slopes = [[[-w, -d, low], [w, -d, low], *ridge], [[w, d, low], [-w, d, low], *ridge[::-1]]]
     parts = [quads(slopes, _TILE)]
     if kind == "gable":
-        ends = [
-            [
-                [s * width / 2, -depth / 2, eaves],
-                [s * width / 2, depth / 2, eaves],
-                [s * width / 2, 0, high],
-            ]
-            for s in (-1, 1)
-        ]
-        parts.append(triangles(ends, wall))
+        y, z = [-depth / 2, depth / 2, 0], [eaves, eaves, high]
+        parts.append(triangles([xyz(s * width / 2, y, z) for s in (-1, 1)], wall))
     else:
         ends = [[[s * w, -d, low], [s * w, d, low], [s * (w - inset), 0, high]] for s in (-1, 1)]
         parts.append(triangles(ends, _TILE))
@@ -352,11 +293,8 @@ def _flat_roof(
 
 def _chimney(rng: np.random.Generator, width: float, high: float) -> Mesh:
     size = rng.uniform([0.4, 0.4, 1.2], [0.9, 0.7, 2.4])
-    return boxes(
-        [rng.uniform(-0.45, 0.45) * width, rng.uniform(-0.6, 0.6), high - 0.5 + size[2] / 4],
-        size,
-        0.35,
-    )
+    x, y = rng.uniform(-0.45, 0.45) * width, rng.uniform(-0.6, 0.6)
+    return boxes([x, y, high - 0.5 + size[2] / 4], size, 0.35)
 
 
 def _dormers(
@@ -367,8 +305,7 @@ def _dormers(
     wide, high = rng.uniform([1.0, 1.1], [1.8, 1.6])
     deep = 0.45 * depth
     y = -depth / 2 + 0.12 * depth + deep / 2
-    center = np.column_stack([x, np.full(count, y), np.full(count, eaves + 0.1 * rise + high / 2)])
-    return boxes(center, [wide, deep, high], 0.45)
+    return boxes(xyz(x, y, eaves + 0.1 * rise + high / 2), [wide, deep, high], 0.45)
 
 
 def garage(rng: np.random.Generator) -> Building:
@@ -377,11 +314,8 @@ def garage(rng: np.random.Generator) -> Building:
     wall = float(rng.uniform(0.35, 0.7))
     shell = boxes([0, 0.1, high / 2 - 0.4], [width, depth - 0.2, high + 0.8], wall)
     lintel = boxes([0, -depth / 2 + 0.1, high - 0.15], [width, 0.2, 0.3], wall)
-    piers = boxes(
-        [[s * (width / 2 - 0.15), -depth / 2 + 0.1, high / 2 - 0.4] for s in (-1, 1)],
-        [0.3, 0.2, high + 0.8],
-        wall,
-    )
+    middle = [[s * (width / 2 - 0.15), -depth / 2 + 0.1, high / 2 - 0.4] for s in (-1, 1)]
+    piers = boxes(middle, [0.3, 0.2, high + 0.8], wall)
     if rng.random() < 0.5:
         roof = boxes([0, 0, high + 0.1], [width + 0.4, depth + 0.4, 0.2], _FLAT)
     else:

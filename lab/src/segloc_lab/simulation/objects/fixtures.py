@@ -6,33 +6,48 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from segloc.types import Float64
 
-from .mesh import Mesh, above, boxes, ellipsoid, glass, join, loft, polygon, quads, scraps, tubes
+from .mesh import (
+    Mesh,
+    above,
+    at_height,
+    boxes,
+    ellipsoid,
+    glass,
+    join,
+    loft,
+    polar,
+    polygon,
+    quads,
+    rectangle,
+    scraps,
+    tubes,
+    xyz,
+)
 from .vegetation import boulder, wall_along
 
 _STEEL, _WOOD, _PAINT, _STONE = 0.3, 0.4, 0.6, 0.45
 _SIGN = 0.95
+_SQUARE = rectangle([0, 0], (1, 1), 0)
 
 
 def lamp(rng: np.random.Generator) -> Mesh:
     """A street lamp, 3.5 to 9 m, with its arm along +x."""
     tall = rng.uniform(3.5, 9.0)
-    foot = tubes([[0, 0, -0.2]], [[0, 0, rng.uniform(0.6, 1.3)]], rng.uniform(0.08, 0.13), _STEEL)
-    mast = tubes([[0, 0, 0]], [[0, 0, tall]], [0.075, 0.045], _STEEL)
+    foot = tubes(above(-0.2), above(rng.uniform(0.6, 1.3)), rng.uniform(0.08, 0.13), _STEEL)
+    mast = tubes(above(0), above(tall), [0.075, 0.045], _STEEL)
     if tall < 5:
         size = rng.uniform(0.2, 0.32)
-        return join(
-            [foot, mast, ellipsoid([0, 0, tall + 0.1], [size, size, rng.uniform(0.2, 0.4)], _PAINT)]
-        )
+        globe = ellipsoid(above(tall + 0.1), [size, size, rng.uniform(0.2, 0.4)], _PAINT)
+        return join([foot, mast, globe])
     reach = rng.uniform(0.4, 2.2)
     tip = [reach, 0, tall + rng.uniform(0, 0.6)]
-    arm = tubes([[0, 0, tall]], [tip], [0.045, 0.035], _STEEL, sides=5)
-    head = boxes(
-        [tip[0] + 0.2, 0, tip[2]], rng.uniform([0.5, 0.15, 0.08], [0.9, 0.32, 0.18]), _PAINT
-    )
-    return join([foot, mast, arm, head])
+    arm = tubes(above(tall), tip, [0.045, 0.035], _STEEL, sides=5)
+    box = rng.uniform([0.5, 0.15, 0.08], [0.9, 0.32, 0.18])
+    return join([foot, mast, arm, boxes([tip[0] + 0.2, 0, tip[2]], box, _PAINT)])
 
 
 def utility_pole(rng: np.random.Generator) -> Mesh:
@@ -41,10 +56,7 @@ def utility_pole(rng: np.random.Generator) -> Mesh:
     pole = tubes([[0, 0, -0.3]], [[0, 0, tall]], [rng.uniform(0.12, 0.18), 0.09], _WOOD)
     count = int(rng.integers(1, 4))
     heights = tall - rng.uniform(0.2, 1.6, count)
-    arms = boxes(
-        np.column_stack([np.zeros((count, 2)), heights]), [0.1, rng.uniform(0.8, 2.2), 0.1], _WOOD
-    )
-    parts = [pole, arms]
+    parts = [pole, boxes(xyz(0, 0, heights), [0.1, rng.uniform(0.8, 2.2), 0.1], _WOOD)]
     if rng.random() < 0.4:
         parts.append(tubes([[0.3, 0, tall - 2.4]], [[0.3, 0, tall - 1.5]], 0.24, _STEEL))
     return join(parts).leaning(*rng.normal(0, 0.015, 2))
@@ -61,7 +73,7 @@ def traffic_sign(rng: np.random.Generator) -> Mesh:
         angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides - np.pi / 2
         flat = rng.uniform(0.5, 1.0) if sides == 4 else 1.0
         y, z = size * np.cos(angle), size * flat * np.sin(angle)
-        parts.append(polygon(np.column_stack([np.full(sides, 0.05), y, z + top - size]), _SIGN))
+        parts.append(polygon(xyz(0.05, y, z + top - size), _SIGN))
         top -= 2.1 * size * flat
         if top < 1.4:
             break
@@ -83,9 +95,8 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     parts = [mast, boxes([0.16, 0, tall - 0.5], [0.22, 0.3, 0.95], _STEEL)]
     if rng.random() < 0.5:
         high, reach = rng.uniform(5.2, 6.2), rng.uniform(2.0, 4.5)
-        parts.append(
-            tubes([[0, 0, tall], [0, 0, high]], [[0, 0, high], [reach, 0, high]], 0.06, _STEEL)
-        )
+        bend = [[0, 0, tall], [0, 0, high], [reach, 0, high]]
+        parts.append(tubes(bend[:2], bend[1:], 0.06, _STEEL))
         parts.append(boxes([reach, 0, high - 0.2], [0.25, 0.35, 1.0], _STEEL))
     return join(parts)
 
@@ -105,40 +116,28 @@ def wheelie_bin(rng: np.random.Generator) -> Mesh:
     """A wheeled bin with a sloping lid."""
     wide, deep, high = rng.uniform([0.45, 0.5, 0.9], [0.75, 0.8, 1.15])
     levels = [(0.05, 0.78), (0.85 * high, 1.0), (0.9 * high, 1.12), (high, 0.85)]
-    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    sections = [np.column_stack([square * k * [deep, wide], np.full(4, z)]) for z, k in levels]
-    return loft(sections, 0.3)
+    return loft([at_height(_SQUARE * k * [deep, wide], z) for z, k in levels], 0.3)
 
 
 def skip_container(rng: np.random.Generator) -> Mesh:
     """A large bin for glass, paper or rubble."""
     long, wide, high = rng.uniform([1.2, 1.0, 1.0], [3.4, 1.8, 1.9])
-    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * [wide, long]
+    square = _SQUARE * [wide, long]
     flare = rng.uniform(0.75, 1.0)
-    sections = [
-        np.column_stack([square * k, np.full(4, z)]) for z, k in ((0.0, flare), (high, 1.0))
-    ]
-    return loft(sections, 0.35)
+    return loft([at_height(square * flare, 0.0), at_height(square, high)], 0.35)
 
 
 def litter_bin(rng: np.random.Generator) -> Mesh:
     """A round bin on a short post."""
     r, low, high = rng.uniform([0.18, 0.1, 0.7], [0.28, 0.4, 1.1])
-    return tubes(
-        [[0, 0, -0.1], [0, 0, low]], [[0, 0, low], [0, 0, high]], [[0.04, 0.04], [r, r]], 0.3
-    )
+    z = above(-0.1), above(low), above(high)
+    return tubes(z[:2], z[1:], [[0.04, 0.04], [r, r]], 0.3)
 
 
 def bollards(rng: np.random.Generator) -> Mesh:
     """A row of two to five bollards along y."""
     count = int(rng.integers(2, 6))
-    foot = np.column_stack(
-        [
-            np.zeros(count),
-            (np.arange(count) - count / 2) * rng.uniform(1.2, 2.0),
-            np.full(count, -0.2),
-        ]
-    )
+    foot = xyz(0, (np.arange(count) - count / 2) * rng.uniform(1.2, 2.0), -0.2)
     radius = rng.uniform(0.05, 0.14)
     return tubes(foot, foot + above(rng.uniform(0.8, 1.3)), [radius, radius], 0.4)
 
@@ -169,16 +168,10 @@ def person(rng: np.random.Generator) -> Mesh:
     tall = rng.normal(1.7, 0.1)
     stride, swing = rng.uniform(0.02, 0.32), rng.uniform(0.05, 0.3)
     hip, shoulder = 0.5 * tall, 0.82 * tall
+    hand = 0.47 * tall
     starts = [[stride, 0.1, 0], [-stride, -0.1, 0], [0, 0.22, shoulder], [0, -0.22, shoulder]]
-    ends = [
-        [0, 0.09, hip],
-        [0, -0.09, hip],
-        [-swing, 0.27, 0.47 * tall],
-        [swing, -0.27, 0.47 * tall],
-    ]
-    limbs = tubes(
-        starts, ends, [[0.06, 0.09], [0.06, 0.09], [0.06, 0.04], [0.06, 0.04]], 0.4, sides=6
-    )
+    ends = [[0, 0.09, hip], [0, -0.09, hip], [-swing, 0.27, hand], [swing, -0.27, hand]]
+    limbs = tubes(starts, ends, [[0.06, 0.09]] * 2 + [[0.06, 0.04]] * 2, 0.4, sides=6)
     torso = ellipsoid([0, 0, 0.66 * tall], [0.13, 0.22, 0.2 * tall], 0.4)
     head = ellipsoid([0.02, 0, 0.93 * tall], [0.1, 0.08, 0.125], 0.5, rings=4)
     return join([limbs, torso, head])
@@ -189,10 +182,8 @@ def garden_wall(rng: np.random.Generator, line: Float64) -> Mesh:
     high, thick = rng.uniform([0.5, 0.15], [1.9, 0.32])
     piers = line[:: max(2, int(rng.integers(3, 7)))]
     size = [thick + 0.16, thick + 0.16, high + rng.uniform(0.1, 0.35) + 0.3]
-    parts = [
-        wall_along(line, high, thick, _STONE),
-        boxes(piers + above(size[2] / 2 - 0.3), size, _STONE),
-    ]
+    parts = [wall_along(line, high, thick, _STONE)]
+    parts.append(boxes(piers + above(size[2] / 2 - 0.3), size, _STONE))
     if high < 0.9 and rng.random() < 0.5:
         parts.append(_railing(rng, line + above(high), rng.uniform(0.4, 0.9)))
     return join(parts)
@@ -211,8 +202,7 @@ def fence(rng: np.random.Generator, line: Float64) -> Mesh:
         t = (np.arange(max(1, int(np.linalg.norm(b - a) / pitch))) * pitch) / np.linalg.norm(b - a)
         low = a + t[:, None] * (b - a) + above(0.08)
         wide = (b - a) / np.linalg.norm(b - a) * board
-        up = np.zeros((len(low), 3))
-        up[:, 2] = high - 0.1 + rng.normal(0, 0.01, len(low))
+        up = xyz(0, 0, high - 0.1 + rng.normal(0, 0.01, len(low)))
         corners = np.stack([low, low + wide, low + wide + up, low + up], axis=1)
         parts.append(quads(corners, _WOOD))
     return join(parts)
@@ -221,16 +211,11 @@ def fence(rng: np.random.Generator, line: Float64) -> Mesh:
 def _railing(rng: np.random.Generator, line: Float64, high: float) -> Mesh:
     posts = tubes(line - above(0.2), line + above(high), 0.035, _STEEL, sides=5)
     a, b = line[:-1], line[1:]
-    rails = [
-        tubes(a + above(z), b + above(z), [0.025, 0.025], _STEEL, sides=4)
-        for z in (0.2 * high, 0.95 * high)
-    ]
+    low, top = above(0.2 * high), above(0.95 * high)
+    rails = [tubes(a + z, b + z, 0.025, _STEEL, sides=4) for z in (low, top)]
     t = np.linspace(0, 1, 12, endpoint=False)[None, :, None]
     feet = (a[:, None] + t * (b - a)[:, None]).reshape(-1, 3)
-    thick = rng.uniform(0.01, 0.02)
-    bars = tubes(
-        feet + above(0.2 * high), feet + above(0.95 * high), [thick, thick], _STEEL, sides=3
-    )
+    bars = tubes(feet + low, feet + top, rng.uniform(0.01, 0.02), _STEEL, sides=3)
     return join([posts, *rails, bars])
 
 
@@ -254,15 +239,15 @@ def statue(rng: np.random.Generator) -> Mesh:
     """A figure, an urn, an obelisk or a rough stone on a stepped plinth."""
     wide, tall = rng.uniform([0.7, 0.8], [1.8, 2.8])
     steps = int(rng.integers(1, 4))
-    k = np.arange(steps)[:, None]
-    size = np.hstack([wide + 0.7 * (steps - k), wide + 0.7 * (steps - k), np.full((steps, 1), 0.2)])
-    center = np.hstack([np.zeros((steps, 2)), 0.1 + 0.2 * k])
+    k = np.arange(steps)
+    size = xyz(wide + 0.7 * (steps - k), wide + 0.7 * (steps - k), 0.2)
+    center = xyz(0, 0, 0.1 + 0.2 * k)
     foot = 0.2 * steps
     block = boxes([0, 0, foot + tall / 2], [wide, wide, tall], _STONE)
     cap = boxes([0, 0, foot + tall], [1.2 * wide, 1.2 * wide, 0.15], _STONE)
     top, pick = above(foot + tall + 0.05), rng.random()
     if pick < 0.4:
-        ornament = _scaled(person(rng), rng.uniform(1.1, 1.7))
+        ornament = person(rng).scaled(rng.uniform(1.1, 1.7))
     elif pick < 0.6:
         r = wide * np.array([0.25, 0.15, 0.2, 0.45, 0.5, 0.3]) * rng.uniform(0.8, 1.2, 6)
         ornament = _turned(r, np.array([0.0, 0.15, 0.3, 0.6, 0.9, 1.1]) * rng.uniform(0.7, 1.4))
@@ -271,7 +256,7 @@ def statue(rng: np.random.Generator) -> Mesh:
         r = wide * np.array([0.55, 0.38, 0.02])
         ornament = _turned(r, np.array([0.0, 0.9 * high, high]), sides=4)
     else:
-        ornament = _scaled(boulder(rng), rng.uniform(1.0, 1.8))
+        ornament = boulder(rng).scaled(rng.uniform(1.0, 1.8))
     return join([boxes(center, size, _STONE), block, cap, ornament.moved(top)])
 
 
@@ -279,12 +264,8 @@ def fountain(rng: np.random.Generator) -> Mesh:
     """A basin with a rim and bowls on a stem."""
     radius, rim = rng.uniform([1.4, 0.35], [3.2, 0.8])
     sides = int(rng.choice([6, 8, 12, 16]))
-    basin = _turned(
-        np.array([1.0, 1.05, 1.05, 0.9, 0.88]) * radius,
-        np.array([-0.2, 0.0, rim, rim, 0.1]),
-        sides,
-    )
-    parts, z = [basin], 0.0
+    rings = np.array([1.0, 1.05, 1.05, 0.9, 0.88]) * radius
+    parts, z = [_turned(rings, [-0.2, 0.0, rim, rim, 0.1], sides)], 0.0
     for bowl in radius * np.cumprod(rng.uniform(0.4, 0.65, int(rng.integers(1, 4)))):
         stem = rng.uniform(0.5, 1.0)
         r = bowl * np.array([0.3, 0.2, 0.25, 1.0, 0.95])
@@ -318,21 +299,16 @@ def slide(rng: np.random.Generator) -> Mesh:
     long = tall * rng.uniform(1.3, 1.9)
     s = np.linspace(0, 1, 6)
     x, z = long * s, tall * (1 - s) ** 1.2 + 0.15
-    bed = np.stack(
-        [np.column_stack([x, np.full(6, y), z + dz]) for y, dz in
-         ((-wide / 2, 0.2), (-wide / 2, 0.0), (wide / 2, 0.0), (wide / 2, 0.2))],
-        axis=1,
-    )  # fmt: skip
-    corners = np.array([[-0.9, -wide / 2], [-0.9, wide / 2], [0, -wide / 2], [0, wide / 2]])
-    feet = np.column_stack([corners, np.full(4, -0.1)])
+    side, rim = wide / 2 * np.array([-1, -1, 1, 1]), np.array([0.2, 0.0, 0.0, 0.2])
+    bed = xyz(x[:, None], side, z[:, None] + rim)
+    feet = np.array([[x, y, -0.1] for x in (-0.9, 0) for y in (-wide / 2, wide / 2)])
     posts = tubes(feet, feet + above(tall + 1.0), 0.045, _STEEL, sides=6)
     deck = boxes([-0.45, 0, tall + 0.1], [0.9, wide, 0.08], _WOOD)
     k = np.arange(int(tall / 0.3))
-    rungs = boxes(np.column_stack([-0.95 - 0 * k, 0 * k, 0.3 + 0.3 * k]), [0.1, wide, 0.05], _STEEL)
+    rungs = boxes(xyz(-0.95, 0, 0.3 + 0.3 * k), [0.1, wide, 0.05], _STEEL)
     parts = [loft(bed, 0.5, closed=False), posts, deck, rungs]
     if rng.random() < 0.5:
-        roof = np.array([[-0.45, 0, tall + 1.9]])
-        parts.append(_turned(np.array([0.9, 0.05]), np.array([tall + 1.1, roof[0, 2]]), 4))
+        parts.append(_turned([0.9, 0.05], [tall + 1.1, tall + 1.9], 4))
     return join(parts)
 
 
@@ -344,15 +320,8 @@ def climbing_frame(rng: np.random.Generator) -> Mesh:
     grid[..., :2] -= count[:2] * pitch / 2
     if rng.random() < 0.5:
         grid[..., :2] *= 1 - 0.45 * (grid[..., 2:] / grid[..., 2].max()) ** 2
-    bars = [
-        tubes(a.reshape(-1, 3), b.reshape(-1, 3), 0.025, _STEEL, sides=4)
-        for a, b in (
-            (grid[:-1], grid[1:]),
-            (grid[:, :-1], grid[:, 1:]),
-            (grid[:, :, :-1], grid[:, :, 1:]),
-        )
-    ]
-    return join(bars)
+    ends = ((grid[:-1], grid[1:]), (grid[:, :-1], grid[:, 1:]), (grid[:, :, :-1], grid[:, :, 1:]))
+    return join(tubes(a.reshape(-1, 3), b.reshape(-1, 3), 0.025, _STEEL, sides=4) for a, b in ends)
 
 
 def bandstand(rng: np.random.Generator) -> Mesh:
@@ -361,15 +330,11 @@ def bandstand(rng: np.random.Generator) -> Mesh:
     sides = int(rng.choice([6, 8]))
     floor = rng.uniform(0.2, 0.7)
     angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides
-    feet = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, floor)])
+    feet = polar(radius, angle, floor)
     posts = tubes(feet, feet + above(tall), 0.08, _WOOD, sides=6)
-    base = _turned(np.array([1.1, 1.1, 0.01]) * radius, np.array([-0.2, floor, floor]), sides)
-    eaves = floor + tall
-    roof = _turned(
-        np.array([1.25, 0.5, 0.05]) * radius,
-        eaves + np.array([-0.1, rng.uniform(0.6, 1.2), rng.uniform(1.3, 2.2)]),
-        sides,
-    )
+    base = _turned(np.array([1.1, 1.1, 0.01]) * radius, [-0.2, floor, floor], sides)
+    heights = floor + tall + np.array([-0.1, rng.uniform(0.6, 1.2), rng.uniform(1.3, 2.2)])
+    roof = _turned(np.array([1.25, 0.5, 0.05]) * radius, heights, sides)
     near = np.roll(feet, -1, axis=0)
     rails = tubes(feet[1:] + above(0.9), near[1:] + above(0.9), 0.04, _WOOD, sides=4)
     return join([base, posts, roof, rails])
@@ -378,21 +343,11 @@ def bandstand(rng: np.random.Generator) -> Mesh:
 def picnic_table(rng: np.random.Generator) -> Mesh:
     """A table with a bench on either side."""
     long = rng.uniform(1.5, 2.4)
-    tops = boxes(
-        [[0, 0, 0.75], [-0.7, 0, 0.45], [0.7, 0, 0.45]],
-        [[0.75, long, 0.06], [0.28, long, 0.05], [0.28, long, 0.05]],
-        _WOOD,
-    )
-    y = np.repeat([-0.35 * long, 0.35 * long], 2)
-    x = np.array([-1.0, 1.0, -1.0, 1.0])
-    legs = tubes(
-        np.column_stack([0.75 * x, y, np.zeros(4)]),
-        np.column_stack([0.25 * x, y, np.full(4, 0.75)]),
-        0.05,
-        _WOOD,
-        sides=4,
-    )
-    return join([tops, legs])
+    middle = [[0, 0, 0.75], [-0.7, 0, 0.45], [0.7, 0, 0.45]]
+    size = [[0.75, long, 0.06], [0.28, long, 0.05], [0.28, long, 0.05]]
+    x, y = np.array([-1.0, 1.0, -1.0, 1.0]), np.repeat([-0.35 * long, 0.35 * long], 2)
+    legs = tubes(xyz(0.75 * x, y, 0), xyz(0.25 * x, y, 0.75), 0.05, _WOOD, sides=4)
+    return join([boxes(middle, size, _WOOD), legs])
 
 
 def flower_bed(rng: np.random.Generator, length: float, width: float) -> Mesh:
@@ -401,9 +356,8 @@ def flower_bed(rng: np.random.Generator, length: float, width: float) -> Mesh:
     rim = boxes([0, 0, edge / 2 - 0.1], [length, width, edge + 0.2], _STONE)
     n = int(length * width * rng.uniform(45, 90))
     xy = rng.uniform(-0.46, 0.46, (n, 2)) * [length, width]
-    drift = np.sin(rng.uniform(1, 4) * xy[:, 0] + rng.uniform(0, 6)) * np.cos(
-        rng.uniform(1, 4) * xy[:, 1]
-    )
+    drift = np.sin(rng.uniform(1, 4) * xy[:, 0] + rng.uniform(0, 6))
+    drift *= np.cos(rng.uniform(1, 4) * xy[:, 1])
     tall = rng.uniform(0.25, 0.9) * (1 + 0.6 * drift)
     center = np.column_stack([xy, edge + tall * rng.uniform(0.1, 1.0, n)])
     return join([rim, scraps(rng, center, rng.uniform(0.06, 0.11), _LEAF)])
@@ -415,9 +369,7 @@ def gate(rng: np.random.Generator) -> Mesh:
     posts = tubes([[0, 0, -0.2], [0, wide, -0.2]], [[0, 0, 1.5], [0, wide, 1.5]], 0.1, _WOOD)
     turn = rng.choice([0.0, rng.uniform(0.2, 1.4)])
     end = wide * np.array([np.sin(turn), np.cos(turn), 0.0])
-    z = np.linspace(0.25, high, int(rng.integers(4, 7)))
-    foot = np.zeros((len(z), 3))
-    foot[:, 2] = z
+    foot = xyz(0, 0, np.linspace(0.25, high, int(rng.integers(4, 7))))
     bars = tubes(foot, foot + end, 0.03, _WOOD, sides=4)
     brace = tubes([[0, 0, 0.25]], [end + above(high)], 0.03, _WOOD, sides=4)
     return join([posts, bars, brace]).moved([0, -wide / 2, 0])
@@ -426,9 +378,7 @@ def gate(rng: np.random.Generator) -> Mesh:
 def post_row(rng: np.random.Generator, line: Float64) -> Mesh:
     """Fence posts over a (n, 3) ground line, leaning each its own way, with wires or rails."""
     high = rng.uniform(0.9, 1.5)
-    top = (
-        line + above(high) + np.column_stack([rng.normal(0, 0.07, (len(line), 2)), 0 * line[:, 0]])
-    )
+    top = line + above(high) + at_height(rng.normal(0, 0.07, (len(line), 2)), 0)
     radius = rng.uniform(0.04, 0.09)
     posts = tubes(line - above(0.2), top, [radius, 0.9 * radius], _WOOD, sides=6)
     parts, thick = [posts], 0.04 if rng.random() < 0.4 else 0.006
@@ -441,13 +391,11 @@ def post_row(rng: np.random.Generator, line: Float64) -> Mesh:
 def trough(rng: np.random.Generator) -> Mesh:
     """A water trough for cattle."""
     size = rng.uniform([0.5, 1.2, 0.45], [1.0, 3.0, 0.8])
-    walls = boxes(
-        [[s * size[0] / 2, 0, size[2] / 2] for s in (-1, 1)]
-        + [[0, s * size[1] / 2, size[2] / 2] for s in (-1, 1)],
-        [[0.06, size[1], size[2]]] * 2 + [[size[0], 0.06, size[2]]] * 2,
-        _STEEL,
-    )
-    return join([walls, boxes([0, 0, 0.5 * size[2]], [size[0], size[1], 0.05], 0.2)])
+    wide, long, high = size
+    middle = [[s * wide / 2, 0, high / 2] for s in (-1, 1)]
+    middle += [[0, s * long / 2, high / 2] for s in (-1, 1)]
+    walls = boxes(middle, [[0.06, long, high]] * 2 + [[wide, 0.06, high]] * 2, _STEEL)
+    return join([walls, boxes([0, 0, 0.5 * high], [wide, long, 0.05], 0.2)])
 
 
 def bale(rng: np.random.Generator) -> Mesh:
@@ -460,15 +408,7 @@ def bale(rng: np.random.Generator) -> Mesh:
     return tubes(starts, starts + [0, wide, 0], radius, 0.45, sides=14)
 
 
-def _turned(radii: Float64, heights: Float64, sides: int = 10) -> Mesh:
+def _turned(radii: ArrayLike, heights: ArrayLike, sides: int = 10) -> Mesh:
     """A body of revolution about z."""
     angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    sections = [
-        np.column_stack([r * ring, np.full(sides, z)]) for r, z in zip(radii, heights, strict=True)
-    ]
-    return loft(sections, _STONE)
-
-
-def _scaled(mesh: Mesh, factor: float) -> Mesh:
-    return Mesh(mesh.triangles * factor, mesh.reflectance, mesh.material)
+    return loft(polar(np.asarray(radii)[:, None], angle, np.asarray(heights)[:, None]), _STONE)

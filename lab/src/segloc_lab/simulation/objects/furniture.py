@@ -9,7 +9,20 @@ from numpy.typing import ArrayLike
 
 from segloc.types import Float64
 
-from .mesh import Mesh, above, boxes, ellipsoid, glass, join, quads, scraps, tubes
+from .mesh import (
+    SOLID,
+    Mesh,
+    above,
+    boxes,
+    ellipsoid,
+    glass,
+    join,
+    polar,
+    quads,
+    scraps,
+    tubes,
+    xyz,
+)
 
 _PIECE_M = 1.0
 """Longest piece of a wall: what stands beside it is kept clear of the corners of its pieces."""
@@ -43,20 +56,15 @@ def wall(
     spans += [(s, t, low, bottom) for s, t, bottom, _ in openings]
     spans += [(s, t, top, high) for s, t, _, top in openings]
     blocks = np.array([
-        (x, x + step, z0, z1)
-        for s, t, z0, z1 in spans
-        if t - s > 0.02 and z1 - z0 > 0.02
+        (x, x + step, bottom, top)
+        for s, t, bottom, top in spans
+        if t - s > 0.02 and top - bottom > 0.02
         for step in [(t - s) / max(1, round((t - s) / _PIECE_M))]
         for x in np.arange(s, t - step / 2, step)
     ]).reshape(-1, 4)  # fmt: skip
-    middle = np.column_stack(
-        [(blocks[:, 0] + blocks[:, 1]) / 2, 0 * blocks[:, 0], (blocks[:, 2] + blocks[:, 3]) / 2]
-    )
-    size = np.column_stack(
-        [blocks[:, 1] - blocks[:, 0], np.full(len(blocks), thick), blocks[:, 3] - blocks[:, 2]]
-    )
-    yaw = float(np.arctan2(*(b - a)[::-1]))
-    return boxes(middle, size, _PLASTER).moved([*a, 0.0], yaw)
+    x0, x1, z0, z1 = blocks.T
+    bricks = boxes(xyz((x0 + x1) / 2, 0, (z0 + z1) / 2), xyz(x1 - x0, thick, z1 - z0), _PLASTER)
+    return bricks.moved([*a, 0.0], float(np.arctan2(*(b - a)[::-1])))
 
 
 def panes(start: ArrayLike, end: ArrayLike, span: tuple[float, float]) -> Mesh:
@@ -64,15 +72,10 @@ def panes(start: ArrayLike, end: ArrayLike, span: tuple[float, float]) -> Mesh:
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     long, (low, high) = float(np.linalg.norm(b - a)), span
     x = np.linspace(0, long, max(2, round(long / 1.2) + 1))
-    post = boxes(
-        np.column_stack([x, 0 * x, 0 * x + (low + high) / 2]), [0.06, 0.08, high - low], _STEEL
-    )
+    post = boxes(xyz(x, 0, (low + high) / 2), [0.06, 0.08, high - low], _STEEL)
     rail = boxes([[long / 2, 0, z] for z in (low + 0.03, high - 0.03)], [long, 0.07, 0.06], _STEEL)
-    left, right = x[:-1], x[1:]
-    corner = np.zeros((len(left), 4, 3))
-    corner[:, :, 0] = np.stack([left, right, right, left], axis=1)
-    corner[:, :, 2] = [low, low, high, high]
-    sheet = glass(quads(corner, 0.0))
+    side = np.stack([x[:-1], x[1:], x[1:], x[:-1]], axis=1)
+    sheet = glass(quads(xyz(side, 0, [low, low, high, high]), 0.0))
     return join([post, rail, sheet]).moved([*a, 0.0], float(np.arctan2(*(b - a)[::-1])))
 
 
@@ -87,8 +90,7 @@ def slab(low: ArrayLike, high: ArrayLike, z: float, holes: Float64, reflectance:
     middle = (cells[:, :2] + cells[:, 2:]) / 2
     open_ = ((middle[:, None] > holes[:, :2]) & (middle[:, None] < holes[:, 2:])).all(axis=2)
     kept = cells[~open_.any(axis=1)]
-    corner = np.stack([kept[:, [0, 1]], kept[:, [2, 1]], kept[:, [2, 3]], kept[:, [0, 3]]], axis=1)
-    return quads(np.concatenate([corner, np.full((*corner.shape[:2], 1), z)], axis=2), reflectance)
+    return quads(xyz(kept[:, [0, 2, 2, 0]], kept[:, [1, 1, 3, 3]], z), reflectance)
 
 
 def pillar(shape: str, size: float, high: float) -> Mesh:
@@ -124,7 +126,7 @@ def stair_flight(wide: float, run: float, rise: float) -> Mesh:
     """A flight of stairs that climbs ``rise`` over ``run`` along +x, its foot at the origin."""
     steps = 9
     k = np.arange(steps) + 0.5
-    tread = np.column_stack([k * run / steps, 0 * k, (k + 0.5) * rise / steps - 0.08])
+    tread = xyz(k * run / steps, 0, (k + 0.5) * rise / steps - 0.08)
     parts = [boxes(tread, [run / steps, wide, 0.16], _CONCRETE)]
     for y in (-wide / 2, wide / 2):
         foot = np.array([[0.1, y, 0.1], [run - 0.1, y, rise]])
@@ -196,15 +198,12 @@ def dock_door(rng: np.random.Generator, wide: float, high: float) -> Mesh:
     raised = float(rng.choice([0.0, 0.0, 0.0, 0.4]))
     z = np.arange(each / 2, high, each)
     z = z[z > raised * high]
-    leaf = boxes(
-        np.column_stack([0 * z, 0.02 * (-1.0) ** np.arange(len(z)), z]), [wide, 0.05, each], 0.6
-    )
-    jambs = boxes(
-        [[s * (wide / 2 + 0.1), -0.08, high / 2] for s in (-1, 1)], [0.16, 0.2, high], _STEEL
-    )
+    leaf = boxes(xyz(0, 0.02 * (-1.0) ** np.arange(len(z)), z), [wide, 0.05, each], 0.6)
+    side = wide / 2 * np.array([-1, 1])
+    jambs = boxes(xyz(side + [-0.1, 0.1], -0.08, high / 2), [0.16, 0.2, high], _STEEL)
     drum = boxes([0, -0.2, high + 0.15], [wide + 0.3, 0.4, 0.35], _STEEL)
-    stops = [[s * (wide / 2 + 0.45), -0.35, 0.45] for s in (-1, 1)]
-    posts = tubes(np.array(stops) - above(0.6), np.array(stops) + above(0.6), [0.09, 0.09], 0.6)
+    stops = xyz(side + [-0.45, 0.45], -0.35, 0.45)
+    posts = tubes(stops - above(0.6), stops + above(0.6), 0.09, 0.6)
     return join([leaf, jambs, drum, posts])
 
 
@@ -217,8 +216,8 @@ def fork_lift(rng: np.random.Generator) -> Mesh:
     cab.append(boxes([-0.55, 0, 2.12], [1.2, 1.1, 0.06], _STEEL))
     mast = boxes([[0.25, y, 1.1 + up / 2] for y in (-0.35, 0.35)], [0.12, 0.1, 2.2 + up], _STEEL)
     forks = boxes([[0.85, y, up] for y in (-0.25, 0.25)], [1.1, 0.12, 0.06], _STEEL)
-    wheels = [[x, y, 0.3] for x in (-1.0, 0.1) for y in (-0.52, 0.52)]
-    tyres = tubes(np.array(wheels) - [0, 0.1, 0], np.array(wheels) + [0, 0.1, 0], [0.3, 0.3], 0.1)
+    wheels = np.array([[x, y, 0.3] for x in (-1.0, 0.1) for y in (-0.52, 0.52)])
+    tyres = tubes(wheels - [0, 0.1, 0], wheels + [0, 0.1, 0], 0.3, 0.1)
     parts = [body, *cab, mast, forks, tyres]
     if rng.random() < 0.4:
         parts.append(pallet_load(rng).moved([0.95, 0, up], np.pi / 2))
@@ -249,8 +248,8 @@ def conveyor(rng: np.random.Generator, long: float) -> Mesh:
     legs = [[x, y, high / 2] for x in np.arange(-long / 2, long / 2, 2.0) for y in (-0.35, 0.35)]
     count = int(long / 3)
     size = rng.uniform([0.2, 0.2, 0.1], [0.6, 0.5, 0.5], (count, 3))
-    at = np.column_stack([rng.uniform(-long / 2, long / 2, count), rng.normal(0, 0.08, count)])
-    parcels = boxes(np.column_stack([at, high + 0.05 + size[:, 2] / 2]), size, _CARTON)
+    x, y = rng.uniform(-long / 2, long / 2, count), rng.normal(0, 0.08, count)
+    parcels = boxes(xyz(x, y, high + 0.05 + size[:, 2] / 2), size, _CARTON)
     return join([bed, boxes(legs, [0.06, 0.06, high], _STEEL), parcels])
 
 
@@ -270,16 +269,13 @@ def machine(rng: np.random.Generator) -> Mesh:
 
 
 _VENEER, _PLASTIC, _LEAF = 0.45, 0.35, 0.5
-_SOLID = 0
 
 
 def desk(rng: np.random.Generator) -> Mesh:
     """A desk along y with what stands on it; one sits at its -x side."""
     wide, deep, high = rng.uniform([1.2, 0.7, 0.7], [1.9, 0.9, 0.78])
     parts = [boxes(above(high), [deep, wide, 0.04], _VENEER)]
-    foot = [
-        [x, y, high / 2] for x in (-0.4 * deep, 0.4 * deep) for y in (-0.45 * wide, 0.45 * wide)
-    ]
+    foot = [[s * 0.4 * deep, t * 0.45 * wide, high / 2] for s in (-1, 1) for t in (-1, 1)]
     parts.append(boxes(foot, [0.06, 0.06, high], _STEEL))
     if rng.random() < 0.6:
         parts.append(boxes([0, 0.3 * wide, high / 2 - 0.05], [0.6, 0.4, high - 0.12], _VENEER))
@@ -293,17 +289,11 @@ def desk(rng: np.random.Generator) -> Mesh:
 def chair(rng: np.random.Generator) -> Mesh:
     """A swivel chair or one with four legs, facing +x."""
     seat = float(rng.uniform(0.42, 0.52))
-    parts = [
-        boxes(
-            [[0, 0, seat], [-0.22, 0, seat + 0.35]],
-            [[0.46, 0.46, 0.07], [0.06, 0.42, 0.5]],
-            _PLASTIC,
-        )
-    ]
+    size = [[0.46, 0.46, 0.07], [0.06, 0.42, 0.5]]
+    parts = [boxes([[0, 0, seat], [-0.22, 0, seat + 0.35]], size, _PLASTIC)]
     if rng.random() < 0.6:
-        angle = np.arange(5) * 2 * np.pi / 5
-        tip = 0.3 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]) + above(0.06)
-        parts.append(tubes(np.tile(above(0.12), (5, 1)), tip, [0.03, 0.02], _STEEL, sides=4))
+        tip = polar(0.3, np.arange(5) * 2 * np.pi / 5) + above(0.06)
+        parts.append(tubes(above(0.12), tip, [0.03, 0.02], _STEEL, sides=4))
         parts.append(tubes([above(0.1)], [above(seat)], [0.03, 0.03], _STEEL, sides=6))
     else:
         foot = np.array([[x, y, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
@@ -344,9 +334,8 @@ def shelf(rng: np.random.Generator) -> Mesh:
         full = float(rng.uniform(0.0, 0.95)) * wide
         size = [0.7 * deep, full, rng.uniform(0.2, 0.3)]
         if full > 0.1:
-            rows.append(
-                boxes([0, (full - wide) / 2, z + size[2] / 2], size, float(rng.uniform(0.2, 0.7)))
-            )
+            at = [0, (full - wide) / 2, z + size[2] / 2]
+            rows.append(boxes(at, size, float(rng.uniform(0.2, 0.7))))
     return join([boards, ends, back, *rows])
 
 
@@ -358,12 +347,9 @@ def table(rng: np.random.Generator) -> Mesh:
         top = tubes([above(high - 0.04)], [above(high)], [radius, radius], _VENEER, sides=16)
         return join([top, tubes([[0, 0, 0]], [above(high)], [0.2, 0.05], _STEEL)])
     wide, deep = rng.uniform([1.4, 0.8], [3.2, 1.3])
-    foot = [
-        [x, y, high / 2] for x in (-0.4 * deep, 0.4 * deep) for y in (-0.42 * wide, 0.42 * wide)
-    ]
-    return join(
-        [boxes(above(high), [deep, wide, 0.04], _VENEER), boxes(foot, [0.07, 0.07, high], _STEEL)]
-    )
+    foot = [[s * 0.4 * deep, t * 0.42 * wide, high / 2] for s in (-1, 1) for t in (-1, 1)]
+    top = boxes(above(high), [deep, wide, 0.04], _VENEER)
+    return join([top, boxes(foot, [0.07, 0.07, high], _STEEL)])
 
 
 def sofa(rng: np.random.Generator) -> Mesh:
@@ -380,7 +366,7 @@ def pot_plant(rng: np.random.Generator) -> Mesh:
     pot = tubes([[0, 0, 0]], [above(0.35)], [0.15, 0.2], 0.4)
     stem = tubes([above(0.3)], [above(0.9 * tall)], [0.02, 0.01], _VENEER, sides=5)
     at = rng.normal(0, 1, (int(120 * tall), 3)) * [wide, wide, 0.25 * tall] + above(0.75 * tall)
-    return join([pot, stem, scraps(rng, at, 0.06, _LEAF, _SOLID)])
+    return join([pot, stem, scraps(rng, at, 0.06, _LEAF, SOLID)])
 
 
 def printer(rng: np.random.Generator) -> Mesh:
@@ -423,8 +409,7 @@ def wall_things(rng: np.random.Generator) -> Mesh:
         return boxes([0.02, 0, 1.5], [0.03, rng.uniform(0.6, 2.0), rng.uniform(0.6, 1.1)], 0.7)
     if pick < 0.8:
         wide = float(rng.uniform(0.6, 1.6))
-        fins = boxes(
-            [[0.06, y, 0.45] for y in np.arange(-wide / 2, wide / 2, 0.07)], [0.1, 0.03, 0.6], 0.6
-        )
+        y = np.arange(-wide / 2, wide / 2, 0.07)
+        fins = boxes(xyz(0.06, y, 0.45), [0.1, 0.03, 0.6], 0.6)
         return join([fins, boxes([0.06, 0, 0.74], [0.1, wide, 0.03], 0.6)])
     return boxes([0.12, 0, rng.uniform(1.0, 1.5)], [0.22, rng.uniform(0.4, 0.8), 0.8], 0.5)

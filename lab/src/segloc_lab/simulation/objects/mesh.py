@@ -20,30 +20,24 @@ _PANE = 0.05
 
 @dataclass(frozen=True)
 class Mesh:
-    """Loose triangles with what a laser sees of them.
+    """Loose triangles with what a laser sees of them."""
 
-    Attributes
-    ----------
-    triangles : (T, 3, 3) float64
-        Corners in metres.
-    reflectance : (T,) float32
-        Share of the light that comes back, in [0, 1]; decides which returns are lost.
-    material : (T,) uint8
-        ``SOLID``, ``GLASS`` or ``LEAF``.
-    """
-
-    triangles: Float64
-    reflectance: Float32
-    material: UInt8
+    triangles: Float64  # (T, 3, 3), corners in metres
+    reflectance: Float32  # (T,), share of the light that comes back; decides what is lost
+    material: UInt8  # (T,), SOLID, GLASS or LEAF
 
     def __len__(self) -> int:
         return len(self.triangles)
 
     def moved(self, position: ArrayLike, yaw: float = 0.0) -> Mesh:
         """The mesh turned about z by ``yaw`` radians, then shifted to ``position`` (x, y, z)."""
-        c, s = np.cos(yaw), np.sin(yaw)
-        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        R = np.eye(3)
+        R[:2, :2] = rotation(yaw)
         return replace(self, triangles=self.triangles @ R + np.asarray(position, dtype=float))
+
+    def scaled(self, factor: ArrayLike) -> Mesh:
+        """The mesh with all coordinates multiplied by a factor, or by one for each axis."""
+        return replace(self, triangles=self.triangles * np.asarray(factor, dtype=float))
 
     def only(self, mask: NDArray[np.bool_]) -> Mesh:
         """The triangles of a (T,) mask."""
@@ -54,6 +48,27 @@ class Mesh:
         shear = np.eye(3)
         shear[2, :2] = pitch, roll
         return replace(self, triangles=self.triangles @ shear)
+
+
+def rotation(yaw: float) -> Float64:
+    """The (2, 2) matrix that turns rows (x, y) by ``yaw`` radians: ``xy @ rotation(yaw)``."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, s], [-s, c]])
+
+
+def xyz(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Float64:
+    """Points (..., 3) of coordinates that broadcast."""
+    return np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float)
+
+
+def at_height(xy: Float64, z: ArrayLike) -> Float64:
+    """Points (n, 3) of points (n, 2) of the plan at heights that broadcast."""
+    return xyz(xy[:, 0], xy[:, 1], z)
+
+
+def polar(radius: ArrayLike, angle: ArrayLike, z: ArrayLike = 0.0) -> Float64:
+    """Points (..., 3) at a distance and in a direction from the z axis."""
+    return xyz(np.multiply(radius, np.cos(angle)), np.multiply(radius, np.sin(angle)), z)
 
 
 def above(height: float) -> Float64:
@@ -73,12 +88,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 def glass(mesh: Mesh) -> Mesh:
     """The mesh as window panes."""
-    count = len(mesh)
-    return Mesh(
-        mesh.triangles,
-        np.full(count, _PANE, dtype=np.float32),
-        np.full(count, GLASS, dtype=np.uint8),
-    )
+    return triangles(mesh.triangles, _PANE, GLASS)
 
 
 def triangles(corners: ArrayLike, reflectance: float, material: int = SOLID) -> Mesh:
@@ -139,26 +149,17 @@ def tubes(
 
 def ellipsoid(center: ArrayLike, radii: ArrayLike, reflectance: float, rings: int = 5) -> Mesh:
     """A closed ellipsoid of ``rings`` latitudes and twice as many longitudes."""
-    latitude = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 2 * rings + 1)
-    grid = np.stack(
-        [
-            np.outer(np.cos(latitude), np.cos(longitude)),
-            np.outer(np.cos(latitude), np.sin(longitude)),
-            np.outer(np.sin(latitude), np.ones_like(longitude)),
-        ],
-        axis=-1,
-    )
-    return _grid_quads(
-        grid * np.asarray(radii, dtype=float) + np.asarray(center, dtype=float), reflectance
-    )
+    grid = polar(np.cos(latitude), longitude, np.sin(latitude))
+    return grid_quads(grid * np.asarray(radii) + np.asarray(center), reflectance)
 
 
 def loft(sections: ArrayLike, reflectance: float, *, closed: bool = True) -> Mesh:
     """The skin over (n, k, 3) cross-sections of k points; both ends are capped if ``closed``."""
     array = np.asarray(sections, dtype=float)
-    around = np.concatenate([array, array[:, :1]], axis=1) if closed else array
-    skin = _grid_quads(around, reflectance)
+    ring = np.concatenate([array, array[:, :1]], axis=1) if closed else array
+    skin = grid_quads(ring, reflectance)
     if not closed:
         return skin
     return join([skin, *(polygon(array[end], reflectance) for end in (0, -1))])
@@ -193,7 +194,8 @@ def scraps(
     return triangles(centers[:, None] + spread, reflectance, material)
 
 
-def _grid_quads(grid: NDArray[np.float64], reflectance: float) -> Mesh:
+def grid_quads(grid: Float64, reflectance: float) -> Mesh:
+    """The surface over a grid (n, k, 3) of points."""
     corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)
     return quads(corners, reflectance)
 
@@ -201,8 +203,7 @@ def _grid_quads(grid: NDArray[np.float64], reflectance: float) -> Mesh:
 def rectangle(center: Sequence[float] | Float64, size: tuple[float, float], yaw: float) -> Float64:
     """The (4, 2) corners of a rectangle in the plane, length ``size[0]`` along ``yaw``."""
     half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size
-    c, s = np.cos(yaw), np.sin(yaw)
-    corners: Float64 = half @ np.array([[c, s], [-s, c]]) + np.asarray(center, dtype=float)[:2]
+    corners: Float64 = half @ rotation(yaw) + np.asarray(center, dtype=float)[:2]
     return corners
 
 
@@ -215,27 +216,14 @@ SESSION_IDS = 1_000_000
 
 @dataclass(frozen=True)
 class Objects:
-    """Triangles of many objects.
+    """Triangles of many objects."""
 
-    Attributes
-    ----------
-    triangles : (T, 3, 3) float32
-        World frame, metres.
-    reflectance : (T,) float32
-    material : (T,) uint8
-    object_ids : (T,) int32
-    lots : (T,) float32
-        A number in [0, 1) that each triangle keeps: which leaf falls when, which pane is dirty.
-    kinds : dict
-        What each object id is: "house", "tree", "car", ...
-    """
-
-    triangles: Float32
-    reflectance: Float32
-    material: UInt8
-    object_ids: Int32
-    lots: Float32
-    kinds: dict[int, str]
+    triangles: Float32  # (T, 3, 3), world frame, metres
+    reflectance: Float32  # (T,)
+    material: UInt8  # (T,)
+    object_ids: Int32  # (T,)
+    lots: Float32  # (T,), in [0, 1): which leaf falls when, which pane is dirty
+    kinds: dict[int, str]  # what each object id is: "house", "tree", "car", ...
 
     @staticmethod
     def of(items: list[tuple[str, Mesh]], first_id: int) -> Objects:

@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from segloc.errors import MissingDependency
 from segloc.types import Float32, Float64, Int64
 
-from .mesh import GROUND_ID, SOLID, Int32, Objects, UInt8
+from .mesh import GROUND_ID, SOLID, Int32, Objects, UInt8, xyz
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A height field; between grid points it is the two triangles that the rays meet.
+    """A height field; between grid points it is the two triangles that the rays meet."""
 
-    Attributes
-    ----------
-    origin : (2,) float64
-        x, y of ``heights[0, 0]``.
-    step : float
-        Grid step, metres.
-    heights : (ny, nx) float64
-        Metres.
-    """
-
-    origin: Float64
-    step: float
-    heights: Float64
+    origin: Float64  # (2,): x, y of heights[0, 0]
+    step: float  # of the grid, metres
+    heights: Float64  # (ny, nx), metres
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Float64:
         """Height of the surface at x, y (any shape); outside the grid, that of its border."""
@@ -53,13 +44,19 @@ class Terrain:
         """Vertices (V, 3) float32 and triangles (T, 3) int64 of the surface."""
         ny, nx = self.heights.shape
         x = self.origin[0] + self.step * np.arange(nx)
-        y = self.origin[1] + self.step * np.arange(ny)
-        gx, gy = np.meshgrid(x, y)
-        vertices = np.stack([gx, gy, self.heights], axis=-1).reshape(-1, 3).astype(np.float32)
+        y = self.origin[1] + self.step * np.arange(ny)[:, None]
+        vertices = xyz(x, y, self.heights).reshape(-1, 3).astype(np.float32)
         corner = (np.arange(ny - 1)[:, None] * nx + np.arange(nx - 1)).reshape(-1)
         low = np.stack([corner, corner + 1, corner + nx], axis=1)
         high = np.stack([corner + 1, corner + nx + 1, corner + nx], axis=1)
         return vertices, np.stack([low, high], axis=1).reshape(-1, 3)
+
+
+def grid(size_m: float, step: float) -> tuple[Float64, Float64]:
+    """x and y of the points of a square with a corner at the origin."""
+    axis = step * np.arange(int(np.ceil(size_m / step)) + 1)
+    x, y = np.meshgrid(axis, axis)
+    return x, y
 
 
 def relief(
@@ -92,31 +89,14 @@ def roughness(rng: np.random.Generator, shape: tuple[int, int]) -> Float64:
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays met, one entry a ray.
+    """What rays met, one entry a ray."""
 
-    Attributes
-    ----------
-    ranges : (R,) float32
-        Metres; infinite where nothing was met.
-    object_ids : (R,) int32
-        -1 where nothing was met.
-    material : (R,) uint8
-        Of the surface; ``SOLID`` where nothing was met.
-    lots : (R,) float32
-        A number in [0, 1) that belongs to the triangle.
-    normals : (R, 3) float32
-        Unit normals, on either side of the surface.
-    cosines : (R,) float32
-        Of the angle between ray and surface normal, in [0, 1].
-    reflectance : (R,) float32
-    """
-
-    ranges: Float32
-    object_ids: Int32
-    material: UInt8
-    lots: Float32
-    normals: Float32
-    cosines: Float32
+    ranges: Float32  # metres; infinite where nothing was met
+    object_ids: Int32  # -1 where nothing was met
+    material: UInt8  # of the surface; SOLID where nothing was met
+    lots: Float32  # a number in [0, 1) that belongs to the triangle
+    normals: Float32  # (R, 3), of unit length, on either side of the surface
+    cosines: Float32  # of the angle between ray and surface normal, in [0, 1]
     reflectance: Float32
 
 
@@ -142,16 +122,16 @@ class Scene:
         filled = [group for group in groups if len(group.triangles)]
         self._meshes = [TriangleMesh(self._embree, vertices, faces.astype(np.int32))]
         self._meshes += [TriangleMesh(self._embree, group.triangles) for group in filled]
-        ground = np.full(len(faces), GROUND_ID, dtype=np.int32)
-        none, dark = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.float32)
-        earth, blank = np.full(len(faces), SOLID, dtype=np.uint8), np.full(1, SOLID, dtype=np.uint8)
-        same = np.zeros(len(faces), dtype=np.float32)
+
+        def column(name: str, ground: ArrayLike, none: int, kind: type) -> NDArray[Any]:
+            parts = [np.broadcast_to(ground, len(faces)), *(getattr(g, name) for g in filled)]
+            return np.concatenate([*parts, [none]], dtype=kind, casting="unsafe")
+
         # The last entry, number -1, is what rays that met nothing met.
-        self._ids = np.concatenate([ground, *(group.object_ids for group in filled), none])
-        self._material = np.concatenate([earth, *(group.material for group in filled), blank])
-        self._lots = np.concatenate([same, *(group.lots for group in filled), dark])
-        shine = [group.reflectance for group in filled]
-        self._reflectance = np.concatenate([ground_reflectance, *shine, dark])
+        self._ids = column("object_ids", GROUND_ID, -1, np.int32)
+        self._material = column("material", SOLID, SOLID, np.uint8)
+        self._lots = column("lots", 0, 0, np.float32)
+        self._reflectance = column("reflectance", ground_reflectance, 0, np.float32)
         sizes = [len(faces), *(len(group.triangles) for group in filled)]
         self._first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self.kinds: dict[int, str] = {GROUND_ID: "ground"}

@@ -8,64 +8,46 @@ import numpy as np
 
 from segloc.types import Float64
 
-from .mesh import LEAF, SOLID, Mesh, above, boxes, join, loft, polygon, quads, scraps, tubes
+from .mesh import (
+    LEAF,
+    SOLID,
+    Mesh,
+    above,
+    at_height,
+    boxes,
+    grid_quads,
+    join,
+    loft,
+    polar,
+    polygon,
+    quads,
+    scraps,
+    tubes,
+    xyz,
+)
 
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Species:
-    """What trees of a kind have in common; pairs are the ranges that each tree is drawn from.
+    """What trees of a kind have in common; pairs are the ranges that each tree is drawn from."""
 
-    Attributes
-    ----------
-    height : (low, high)
-        Metres.
-    girth : (low, high)
-        Radius of the trunk over its height.
-    bare : (low, high)
-        Where the crown begins, as a share of the height.
-    spread : (low, high)
-        Radius of the crown over the height.
-    crown : tuple of float
-        Reach of the branches at even steps from the foot of the crown to its top.
-    branches : (low, high)
-        Number of branches.
-    rise : (low, high)
-        Elevation of the lowest and of the highest branches, radians.
-    droop : float
-        How far tips sink, as a share of the branch's length.
-    hang : float
-        How much twigs hang down: 0 for not at all, 1 for a willow.
-    leaves : (low, high)
-        Scraps of foliage a metre of twig.
-    leaf : float
-        Size of a scrap, metres.
-    stems : (low, high)
-        Stems from one root.
-    lean : float
-        Standard deviation of the lean, rise over run.
-    forked : float
-        Probability that the trunk divides.
-    bark : float
-        Reflectance.
-    """
-
-    height: Range
-    girth: Range
-    bare: Range
-    spread: Range
-    crown: tuple[float, ...]
-    branches: tuple[int, int]
-    rise: Range = (0.3, 1.0)
-    droop: float = 0.1
-    hang: float = 0.0
-    leaves: Range = (5.0, 9.0)
-    leaf: float = 0.17
-    stems: tuple[int, int] = (1, 1)
-    lean: float = 0.03
-    forked: float = 0.0
-    bark: float = 0.35
+    height: Range  # metres
+    girth: Range  # radius of the trunk over its height
+    bare: Range  # where the crown begins, as a share of the height
+    spread: Range  # radius of the crown over the height
+    crown: tuple[float, ...]  # reach of the branches at even steps from its foot to its top
+    branches: tuple[int, int]  # their number
+    rise: Range = (0.3, 1.0)  # elevation of the lowest and of the highest branches, radians
+    droop: float = 0.1  # how far tips sink, as a share of the branch's length
+    hang: float = 0.0  # how much twigs hang down: 0 for not at all, 1 for a willow
+    leaves: Range = (5.0, 9.0)  # scraps of foliage a metre of twig
+    leaf: float = 0.17  # size of a scrap, metres
+    stems: tuple[int, int] = (1, 1)  # from one root
+    lean: float = 0.03  # standard deviation, rise over run
+    forked: float = 0.0  # probability that the trunk divides
+    bark: float = 0.35  # reflectance
 
 
 _DOME = (0.75, 1.0, 1.0, 0.85, 0.5)
@@ -151,21 +133,13 @@ def tree(rng: np.random.Generator, height: float | None = None) -> Mesh:
     angle = np.cumsum(rng.uniform(0.6, 1.4, count)) * 2 * np.pi / count
     reach = rng.uniform(0.10, 0.26, count) * tall
     rise = rng.uniform(0.25, 0.95, count) * (tall - trunk) * 0.8
-    tips = fork + np.stack([reach * np.cos(angle), reach * np.sin(angle), rise], axis=1)
-    starts = np.array([0.0, 0.0, -0.3]) + (fork - [0, 0, -0.3]) * rng.uniform(0.8, 1.0, (count, 1))
-    wood = join(
-        [
-            tubes([[0.0, 0.0, -0.3]], fork, [radius, 0.75 * radius], _BARK),
-            tubes(starts, tips, [0.45 * radius, 0.12 * radius], _BARK, sides=5),
-        ]
-    )
-    size = (
-        rng.uniform(0.11, 0.2)
-        * tall
-        * np.array([1.0, 1.0, 0.8])
-        * rng.uniform(0.7, 1.3, (count, 3))
-    )
-    return join([wood, _crown(rng, tips, size, rng.uniform(6, 15), 0.18)])
+    tips = fork + polar(reach, angle, rise)
+    starts = above(-0.3) + (fork - above(-0.3)) * rng.uniform(0.8, 1.0, (count, 1))
+    stem = tubes(above(-0.3), fork, [radius, 0.75 * radius], _BARK)
+    boughs = tubes(starts, tips, [0.45 * radius, 0.12 * radius], _BARK, sides=5)
+    wide = rng.uniform(0.11, 0.2) * tall
+    size = wide * np.array([1.0, 1.0, 0.8]) * rng.uniform(0.7, 1.3, (count, 3))
+    return join([stem, boughs, _crown(rng, tips, size, rng.uniform(6, 15), 0.18)])
 
 
 def _conifer(rng: np.random.Generator, tall: float) -> Mesh:
@@ -177,10 +151,8 @@ def _conifer(rng: np.random.Generator, tall: float) -> Mesh:
     layer = 1 - 0.3 * np.abs(np.sin(up * rng.uniform(15, 30)))
     reach = wide * (1 - up) * layer * np.sqrt(rng.uniform(0.04, 1, n))
     turn = rng.uniform(0, 2 * np.pi, n)
-    center = np.stack(
-        [reach * np.cos(turn), reach * np.sin(turn), base + up * (tall - base)], axis=1
-    )
-    trunk = tubes([[0.0, 0.0, -0.3]], [[0.0, 0.0, 0.95 * tall]], [radius, 0.02], _BARK)
+    center = polar(reach, turn, base + up * (tall - base))
+    trunk = tubes(above(-0.3), above(0.95 * tall), [radius, 0.02], _BARK)
     return join([trunk, scraps(rng, center, 0.13, _LEAF, SOLID)])
 
 
@@ -250,11 +222,8 @@ def wall_along(line: Float64, height: float, width: float, reflectance: float) -
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
     normal *= 0.5 * width / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     profile = [(-1, -0.3), (-1, height), (1, height), (1, -0.3)]
-    sections = np.stack(
-        [np.column_stack([line[:, :2] + side * normal, line[:, 2] + z]) for side, z in profile],
-        axis=1,
-    )
-    return loft(sections, reflectance)
+    rows = [np.column_stack([line[:, :2] + side * normal, line[:, 2] + z]) for side, z in profile]
+    return loft(np.stack(rows, axis=1), reflectance)
 
 
 def trimmed_box_bush(rng: np.random.Generator) -> Mesh:
@@ -291,27 +260,19 @@ def grow(rng: np.random.Generator, kind: str, *, detail: float = 1.0, scale: flo
     branches, thick = _branches(rng, species, axes, radii, tall)
     twigs = _twigs(rng, species, branches)
     if detail > _TWIGS_FROM:
-        parts = [
-            limbs(axes, radii, species.bark, 9, rough),
-            limbs(branches, thick, species.bark, 4),
-            limbs(twigs, np.array([0.014, 0.006]), species.bark, 3),
-        ]
+        parts = [limbs(axes, radii, species.bark, 9, rough)]
+        parts.append(limbs(branches, thick, species.bark, 4))
+        parts.append(limbs(twigs, np.array([0.014, 0.006]), species.bark, 3))
     else:
-        parts = [
-            limbs(axes[:, ::2], radii[:, ::2], species.bark, 5),
-            limbs(branches[:, ::3], thick[:, ::3], species.bark, 3),
-        ]
+        parts = [limbs(axes[:, ::2], radii[:, ::2], species.bark, 5)]
+        parts.append(limbs(branches[:, ::3], thick[:, ::3], species.bark, 3))
     material = SOLID if kind in EVERGREEN else LEAF
     parts.append(_leaves(rng, species, twigs, detail, material))
     return join(parts)
 
 
 def limbs(
-    lines: Float64,
-    radii: Float64,
-    reflectance: float,
-    sides: int,
-    rough: Float64 | float = 1.0,
+    lines: Float64, radii: Float64, reflectance: float, sides: int, rough: Float64 | float = 1.0
 ) -> Mesh:
     """Open tubes along (n, k, 3) polylines with radii (n, k); ``rough`` scales (n, k, sides)."""
     ahead = np.gradient(lines, axis=1)
@@ -325,8 +286,8 @@ def limbs(
     ring = np.cos(angle)[:, None] * u[:, :, None] + np.sin(angle)[:, None] * v[:, :, None]
     reach = np.broadcast_to(radii, lines.shape[:2])[:, :, None] * rough
     skin = lines[:, :, None] + np.broadcast_to(reach, ring.shape[:3])[..., None] * ring
-    next_side = np.roll(skin, -1, axis=2)
-    corners = [skin[:, :-1], next_side[:, :-1], next_side[:, 1:], skin[:, 1:]]
+    near = np.roll(skin, -1, axis=2)
+    corners = [skin[:, :-1], near[:, :-1], near[:, 1:], skin[:, 1:]]
     return quads(np.stack(corners, axis=3), reflectance)
 
 
@@ -386,7 +347,7 @@ def _branches(
     reach = wide * profile * rng.uniform(0.65, 1.15, count)
     turn = rng.uniform(0, 2 * np.pi) + _GOLDEN * np.arange(count) + rng.normal(0, 0.4, count)
     rise = np.interp(up, [0, 1], species.rise) + rng.normal(0, 0.15, count)
-    way = np.stack([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)], axis=1)
+    way = polar(np.cos(rise), turn, np.sin(rise))
     s = np.array([0.0, 0.33, 0.67, 1.0])[:, None]
     line = start[:, None] + reach[:, None, None] * (s * way[:, None])
     line[:, :, 2] -= species.droop * reach[:, None] * s[:, 0] ** 2
@@ -452,19 +413,17 @@ def thicket(rng: np.random.Generator, radius: float, height: float, detail: floa
     """A mound of brambles or scrub over uneven lobes, with canes inside."""
     count = int(rng.integers(3, 8))
     turn, out = rng.uniform(0, 2 * np.pi, count), radius * rng.uniform(0, 0.75, count)
-    size = np.stack(
-        [radius * rng.uniform(0.3, 0.7, count), height * rng.uniform(0.4, 1.0, count)], axis=1
-    )
-    size[0, 1] = height
-    foot = np.stack([out * np.cos(turn), out * np.sin(turn), np.zeros(count)], axis=1)
+    wide, high = radius * rng.uniform(0.3, 0.7, count), height * rng.uniform(0.4, 1.0, count)
+    high[0] = height
+    foot = polar(out, turn)
     dense = detail * rng.uniform(14, 28)
-    many = np.maximum(8, dense * size[:, 0] * (size[:, 0] + 2 * size[:, 1])).astype(int)
+    many = np.maximum(8, dense * wide * (wide + 2 * high)).astype(int)
     of = np.repeat(np.arange(count), many)
     way = rng.normal(size=(len(of), 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     way[:, 2] = np.abs(way[:, 2])
     depth = rng.uniform(0.05, 1.0, (len(of), 1)) ** 0.4
-    spread = np.stack([size[of, 0], size[of, 0], size[of, 1]], axis=1)
+    spread = xyz(wide, wide, high)[of]
     center = foot[of] + way * depth * spread + rng.normal(0, 0.05, (len(of), 3))
     leaves = scraps(rng, center, rng.uniform(0.08, 0.13) / np.sqrt(detail), _LEAF)
     picked = center[rng.integers(0, len(center), min(len(center), 4 * count))]
@@ -481,16 +440,14 @@ def fern(rng: np.random.Generator) -> Mesh:
     of = np.repeat(turn, 8)
     reach = np.repeat(tall * rng.uniform(0.5, 1.0, count), 8) * s
     rise = tall * np.sin(s * np.repeat(rng.uniform(1.5, 2.4, count), 8))
-    center = np.stack([reach * np.cos(of), reach * np.sin(of), rise], axis=1)
+    center = polar(reach, of, rise)
     return scraps(rng, center + rng.normal(0, 0.04, center.shape), 0.11, _LEAF)
 
 
 def grass(rng: np.random.Generator) -> Mesh:
     """A patch of tall grass or rushes."""
     count, tall = int(rng.integers(25, 90)), rng.uniform(0.35, 1.1)
-    foot = np.column_stack(
-        [rng.normal(0, rng.uniform(0.15, 0.6), (count, 2)), np.full(count, -0.05)]
-    )
+    foot = at_height(rng.normal(0, rng.uniform(0.15, 0.6), (count, 2)), -0.05)
     up = rng.uniform(0.5, 1.0, count) * tall
     tip = foot + np.column_stack([rng.normal(0, 0.3, (count, 2)) * up[:, None], up])
     side = rng.normal(0, 0.025, (count, 3)) * [1, 1, 0]
@@ -531,15 +488,12 @@ def root_plate(rng: np.random.Generator) -> Mesh:
     radius = rng.uniform(0.7, 1.8)
     rim = np.linspace(0, 2 * np.pi, 11, endpoint=False)
     reach = radius * rng.uniform(0.7, 1.15, 11)
-    disc = np.column_stack(
-        [rng.normal(0, 0.08, 11), reach * np.cos(rim), reach * np.sin(rim) + 0.7 * radius]
-    )
+    across, up = reach * np.cos(rim), reach * np.sin(rim) + 0.7 * radius
+    disc = xyz(rng.normal(0, 0.08, 11), across, up)
     back = polygon(disc - [rng.uniform(0.25, 0.6), 0, 0], _WOOD)
     tips = disc * rng.uniform(1.05, 1.3, (11, 1)) + rng.normal(0, 0.1, (11, 3))
-    roots = limbs(
-        np.stack([0.6 * disc + above(0.3 * radius), tips], axis=1), np.array([0.08, 0.02]), _WOOD, 4
-    )
-    return join([polygon(disc, _WOOD), back, roots])
+    roots = np.stack([0.6 * disc + above(0.3 * radius), tips], axis=1)
+    return join([polygon(disc, _WOOD), back, limbs(roots, np.array([0.08, 0.02]), _WOOD, 4)])
 
 
 def brushwood(rng: np.random.Generator) -> Mesh:
@@ -561,7 +515,7 @@ def woodpile(rng: np.random.Generator) -> Mesh:
     for row in range(rows):
         x = (np.arange(wide - row) - (wide - row) / 2) * 2.05 * radius
         z = radius * (0.9 + 1.75 * row)
-        a = np.column_stack([x, rng.normal(-long / 2, 0.1, len(x)), np.full(len(x), z)])
+        a = xyz(x, rng.normal(-long / 2, 0.1, len(x)), z)
         b = a + [0, long, 0]
         thick = radius * rng.uniform(0.75, 1.05, (len(x), 1)) * np.array([1.0, 0.9])
         parts.append(limbs(np.stack([a, b], axis=1), thick, _WOOD, 7))
@@ -577,10 +531,9 @@ def boulder(rng: np.random.Generator) -> Mesh:
     bumps = rng.normal(1, 0.1, (6, 9))
     bumps[[0, -1]] = 1.0
     flat, high = np.cos(latitude)[:, None] * bumps, np.sin(latitude)[:, None] * bumps
-    ring = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), high], axis=2)
+    ring = polar(flat, longitude, high)
     ring = np.concatenate([ring, ring[:, :1]], axis=1) * size + above(0.3 * size[2])
-    corners = np.stack([ring[:-1, :-1], ring[:-1, 1:], ring[1:, 1:], ring[1:, :-1]], axis=2)
-    return quads(corners, _STONE)
+    return grid_quads(ring, _STONE)
 
 
 def _cut(center: Float64, normal: Float64, radius: float) -> Mesh:

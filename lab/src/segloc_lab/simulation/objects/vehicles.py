@@ -8,7 +8,7 @@ import numpy as np
 
 from segloc.types import Float64
 
-from .mesh import Mesh, boxes, glass, join, loft, tubes
+from .mesh import Mesh, boxes, glass, join, loft, tubes, xyz
 
 _TYRE = 0.08
 _LORRY = 7.5  # where a lorry fits, there mostly is one; metres
@@ -33,62 +33,29 @@ _SHAPES = {
     "hatchback": _Shape(
         ((3.6, 4.2), (1.62, 1.76), (1.42, 1.56)),
         ((0, 0.42), (0.03, 0.52), (0.25, 0.64), (0.9, 0.66), (0.98, 0.62), (1, 0.4)),
-        (
-            (0, 0.42),
-            (0.03, 0.52),
-            (0.25, 0.64),
-            (0.42, 0.97),
-            (0.6, 1),
-            (0.84, 0.95),
-            (0.98, 0.62),
-            (1, 0.4),
-        ),
+        ((0, 0.42), (0.03, 0.52), (0.25, 0.64), (0.42, 0.97), (0.6, 1), (0.84, 0.95),
+         (0.98, 0.62), (1, 0.4)),
         (0.25, 0.98),
     ),
     "saloon": _Shape(
         ((4.4, 5.0), (1.74, 1.88), (1.4, 1.5)),
         ((0, 0.4), (0.03, 0.5), (0.27, 0.63), (0.83, 0.66), (0.97, 0.64), (1, 0.42)),
-        (
-            (0, 0.4),
-            (0.03, 0.5),
-            (0.27, 0.63),
-            (0.42, 0.97),
-            (0.55, 1),
-            (0.7, 0.93),
-            (0.83, 0.66),
-            (0.97, 0.64),
-            (1, 0.42),
-        ),
+        ((0, 0.4), (0.03, 0.5), (0.27, 0.63), (0.42, 0.97), (0.55, 1), (0.7, 0.93), (0.83, 0.66),
+         (0.97, 0.64), (1, 0.42)),
         (0.27, 0.83),
     ),
     "estate": _Shape(
         ((4.4, 4.9), (1.74, 1.86), (1.43, 1.55)),
         ((0, 0.4), (0.03, 0.5), (0.26, 0.62), (0.93, 0.65), (0.99, 0.6), (1, 0.4)),
-        (
-            (0, 0.4),
-            (0.03, 0.5),
-            (0.26, 0.62),
-            (0.4, 0.97),
-            (0.55, 1),
-            (0.88, 0.95),
-            (0.99, 0.6),
-            (1, 0.4),
-        ),
+        ((0, 0.4), (0.03, 0.5), (0.26, 0.62), (0.4, 0.97), (0.55, 1), (0.88, 0.95), (0.99, 0.6),
+         (1, 0.4)),
         (0.26, 0.99),
     ),
     "suv": _Shape(
         ((4.3, 4.9), (1.8, 1.95), (1.62, 1.82)),
         ((0, 0.42), (0.02, 0.56), (0.25, 0.63), (0.94, 0.66), (0.99, 0.6), (1, 0.42)),
-        (
-            (0, 0.42),
-            (0.02, 0.56),
-            (0.25, 0.63),
-            (0.37, 0.96),
-            (0.55, 1),
-            (0.9, 0.96),
-            (0.99, 0.6),
-            (1, 0.42),
-        ),
+        ((0, 0.42), (0.02, 0.56), (0.25, 0.63), (0.37, 0.96), (0.55, 1), (0.9, 0.96),
+         (0.99, 0.6), (1, 0.42)),
         (0.25, 0.99),
     ),
     "van": _Shape(
@@ -100,19 +67,11 @@ _SHAPES = {
     "pickup": _Shape(
         ((4.9, 5.4), (1.8, 1.95), (1.7, 1.85)),
         ((0, 0.4), (0.02, 0.55), (0.26, 0.6), (0.62, 0.62), (1, 0.62)),
-        (
-            (0, 0.4),
-            (0.02, 0.55),
-            (0.26, 0.6),
-            (0.36, 0.97),
-            (0.45, 1),
-            (0.6, 0.97),
-            (0.64, 0.62),
-            (1, 0.62),
-        ),
+        ((0, 0.4), (0.02, 0.55), (0.26, 0.6), (0.36, 0.97), (0.45, 1), (0.6, 0.97), (0.64, 0.62),
+         (1, 0.62)),
         (0.26, 0.64),
     ),
-}
+}  # fmt: skip
 _ODDS = {"hatchback": 0.3, "saloon": 0.17, "estate": 0.2, "suv": 0.16, "van": 0.12, "pickup": 0.05}
 
 
@@ -156,19 +115,16 @@ def _body(
     if len(box) > 1:
         solid = _sections(x[box], belt[box], wide[box] + 0.01, roof[box], narrow[box] + 0.01)
         parts.append(loft(solid, paint))
-    mirror = [
-        length * (0.5 - shape.windows[0] - 0.08),
-        0.5 * width + 0.09,
-        float(belt.max()) + 0.08,
-    ]
-    parts.append(boxes([mirror, [mirror[0], -mirror[1], mirror[2]]], [0.12, 0.18, 0.14], paint))
+    ahead, aside = length * (0.5 - shape.windows[0] - 0.08), 0.5 * width + 0.09
+    mirrors = [[ahead, y, float(belt.max()) + 0.08] for y in (aside, -aside)]
+    parts.append(boxes(mirrors, [0.12, 0.18, 0.14], paint))
     return parts
 
 
 def _sections(x: Float64, z0: Float64, half0: Float64, z1: Float64, half1: Float64) -> Float64:
     """Cross-sections (n, 4, 3): a trapezoid from (z0, half width 0) to (z1, half width 1)."""
-    corners = [(half0, z0), (half1, z1), (-half1, z1), (-half0, z0)]
-    return np.stack([np.stack([x, y, z], axis=1) for y, z in corners], axis=1)
+    y = np.stack([half0, half1, -half1, -half0], axis=1)
+    return xyz(x[:, None], y, np.stack([z0, z1, z1, z0], axis=1))
 
 
 def _wheels(rng: np.random.Generator, length: float, width: float, radius: float) -> Mesh:
@@ -188,19 +144,17 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     """A parked bicycle, about 1.7 m long, along x."""
     r, base = rng.uniform(0.3, 0.36), rng.uniform(0.95, 1.1)
     angle = np.linspace(0, 2 * np.pi, 13)
-    rim = np.stack([np.cos(angle), np.zeros(13), np.sin(angle) + 1], axis=1) * r
-    wheels = [rim + np.array([side * base / 2, 0, 0]) for side in (-1, 1)]
-    edges = [(w[:-1], w[1:]) for w in wheels]
+    rim = xyz(np.cos(angle), 0, np.sin(angle) + 1) * r
+    wheels = [rim + [side * base / 2, 0, 0] for side in (-1, 1)]
     seat, bars, crank = np.array([[-0.2, 0, 0.95], [0.38, 0, 1.0], [0.0, 0, 0.32]])
     rear, front = np.array([[-base / 2, 0, r], [base / 2, 0, r]])
     frame = [(seat, crank), (seat, bars), (crank, bars), (rear, seat), (rear, crank), (front, bars)]
     along, across = np.array([[0.13, 0, 0], [0, 0.28, 0]])
     grip = [(bars - across, bars + across), (seat - along, seat + along)]
-    starts = np.concatenate([e[0] for e in edges] + [np.array([f[0] for f in frame + grip])])
-    ends = np.concatenate([e[1] for e in edges] + [np.array([f[1] for f in frame + grip])])
-    return tubes(starts, ends, [0.022, 0.022], 0.3, sides=4).leaning(
-        0.0, float(rng.uniform(-0.12, 0.12))
-    )
+    starts = np.concatenate([*(w[:-1] for w in wheels), [a for a, _ in frame + grip]])
+    ends = np.concatenate([*(w[1:] for w in wheels), [b for _, b in frame + grip]])
+    upright = tubes(starts, ends, 0.022, 0.3, sides=4)
+    return upright.leaning(0.0, float(rng.uniform(-0.12, 0.12)))
 
 
 def lorry(rng: np.random.Generator, longest: float) -> tuple[Mesh, tuple[float, float]]:
@@ -230,21 +184,15 @@ def _cab(rng: np.random.Generator, length: float, width: float, cab: float, pain
     high, slant = rng.uniform([2.5, 0.05], [3.1, 0.35])
     x1, x0, half = length / 2, length / 2 - cab, width / 2
     side = np.array([[x0, 0.5], [x0, high], [x1 - slant, high], [x1, 1.5], [x1, 0.5]])
-    ends = [np.column_stack([side[:, 0], np.full(5, s * half), side[:, 1]]) for s in (-1, 1)]
+    ends = [xyz(side[:, 0], s * half, side[:, 1]) for s in (-1, 1)]
     pane = np.array([[x0 + 0.5, 1.6], [x1 - 0.25, 1.6], [x1 - slant - 0.15, high - 0.35]])
     pane = np.concatenate([pane, [[x0 + 0.5, high - 0.35]]])
     windows = [
-        loft(
-            [
-                np.column_stack([pane[:, 0], np.full(4, s * (half + d)), pane[:, 1]])
-                for d in (0, 0.015)
-            ],
-            0.0,
-        )
+        glass(loft([xyz(pane[:, 0], s * (half + d), pane[:, 1]) for d in (0, 0.015)], 0.0))
         for s in (-1, 1)
     ]
     mirrors = boxes([[x1 - 0.1, s * (half + 0.22), 1.9] for s in (-1, 1)], [0.12, 0.2, 0.5], _STEEL)
-    return join([loft(ends, paint), *(glass(window) for window in windows), mirrors])
+    return join([loft(ends, paint), *windows, mirrors])
 
 
 def _pump(rng: np.random.Generator, rear: float, front: float, width: float, paint: float) -> Mesh:
@@ -289,9 +237,8 @@ def _tanker(
     rng: np.random.Generator, rear: float, front: float, width: float, paint: float
 ) -> Mesh:
     r = rng.uniform(0.75, 1.0)
-    tank = tubes([[rear + 0.1, 0, 1.0 + r]], [[front - 0.2, 0, 1.0 + r]], [r, r], 0.6, sides=18)
-    back = tubes(
-        [[rear + 0.1, 0, 1.0 + r]], [[rear - 0.05, 0, 1.0 + r]], [r, 0.7 * r], 0.6, sides=18
-    )
+    end = [rear + 0.1, 0, 1.0 + r]
+    tank = tubes(end, [front - 0.2, 0, 1.0 + r], r, 0.6, sides=18)
+    back = tubes(end, [rear - 0.05, 0, 1.0 + r], [r, 0.7 * r], 0.6, sides=18)
     walk = boxes([(front + rear) / 2, 0, 1.02 + 2 * r], [0.8 * (front - rear), 0.5, 0.06], _STEEL)
     return join([tank, back, walk])

@@ -11,7 +11,21 @@ from scipy.spatial.transform import Rotation
 from segloc.types import Float64
 
 from .buildings import Building
-from .mesh import Mesh, above, boxes, ellipsoid, glass, join, loft, quads, triangles, tubes
+from .mesh import (
+    Mesh,
+    above,
+    at_height,
+    boxes,
+    ellipsoid,
+    glass,
+    join,
+    loft,
+    polar,
+    quads,
+    triangles,
+    tubes,
+    xyz,
+)
 
 _STEEL, _WOOD, _CONCRETE, _RUST = 0.3, 0.4, 0.45, 0.2
 _CORRUGATION = np.array([0.0, 0.0, 1.0, 1.0]) * 0.036
@@ -27,9 +41,8 @@ def shipping_container(rng: np.random.Generator) -> Mesh:
     parts = []
     for side in (-1, 1):
         inward = fold + _dents(rng, x, high)
-        z = np.broadcast_to(np.linspace(0.12, high - 0.1, 7), inward.T.shape).T
-        y = side * (wide / 2 - 0.03 - inward)
-        sheet = np.stack([np.broadcast_to(x, z.shape), y, z], axis=-1)
+        z = np.linspace(0.12, high - 0.1, 7)[:, None]
+        sheet = xyz(x, side * (wide / 2 - 0.03 - inward), z)
         parts.append(loft(sheet.transpose(1, 0, 2), paint, closed=False))
     parts.append(_container_frame(long, wide, high, paint))
     parts.append(boxes([-long / 2 + 0.06, 0, high / 2], [0.05, wide - 0.2, high - 0.2], paint))
@@ -50,20 +63,13 @@ def _dents(rng: np.random.Generator, x: Float64, high: float) -> Float64:
 
 
 def _container_frame(long: float, wide: float, high: float, paint: float) -> Mesh:
-    corner = np.array([[sx * (long / 2 - 0.08), sy * (wide / 2 - 0.08)] for sx, sy in _SIGNS])
-    posts = boxes(np.column_stack([corner, np.full(4, high / 2)]), [0.16, 0.16, high], paint)
-    rails = [
-        boxes([0, side * (wide / 2 - 0.05), z], [long, 0.1, 0.14], paint)
-        for side in (-1, 1)
-        for z in (0.07, high - 0.06)
-    ]
-    sills = boxes(
-        [[side * (long / 2 - 0.05), 0, z] for side in (-1, 1) for z in (0.07, high - 0.06)],
-        [0.1, wide, 0.14],
-        paint,
-    )
+    corner = np.array(_SIGNS) * [long / 2 - 0.08, wide / 2 - 0.08]
+    posts = boxes(at_height(corner, high / 2), [0.16, 0.16, high], paint)
+    edges = [(side, z) for side in (-1, 1) for z in (0.07, high - 0.06)]
+    rails = boxes([[0, s * (wide / 2 - 0.05), z] for s, z in edges], [long, 0.1, 0.14], paint)
+    sills = boxes([[s * (long / 2 - 0.05), 0, z] for s, z in edges], [0.1, wide, 0.14], paint)
     decks = boxes([[0, 0, 0.12], [0, 0, high - 0.04]], [long - 0.1, wide - 0.1, 0.03], paint)
-    return join([posts, *rails, sills, decks])
+    return join([posts, rails, sills, decks])
 
 
 _SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
@@ -77,8 +83,7 @@ def _container_doors(
     parts = []
     for side in (-1, 1):
         door = boxes([0, -side * leaf / 2, high / 2], [0.05, leaf, high - 0.25], paint)
-        y = -side * leaf * np.array([0.3, 0.7])
-        foot = np.column_stack([np.full(2, 0.06), y, np.full(2, 0.15)])
+        foot = xyz(0.06, -side * leaf * np.array([0.3, 0.7]), 0.15)
         bars = tubes(foot, foot + above(high - 0.3), [0.02, 0.02], _STEEL, sides=5)
         turn = 0.0 if shut else side * rng.uniform(0.3, 2.6) * (rng.random() < 0.85)
         hinge = [long / 2 - 0.03, side * (wide / 2 - 0.1), 0.0]
@@ -117,7 +122,7 @@ def drums(rng: np.random.Generator) -> Mesh:
     """One to eight oil drums, standing close together, now and then one on its side."""
     count = int(rng.integers(1, 9))
     at = np.stack(np.meshgrid(np.arange(3), np.arange(3)), -1).reshape(-1, 2)[:count] * 0.64
-    foot = np.column_stack([at - at.mean(axis=0) + rng.normal(0, 0.02, at.shape), np.zeros(count)])
+    foot = at_height(at - at.mean(axis=0) + rng.normal(0, 0.02, at.shape), 0.0)
     tip = foot + above(0.88)
     if count > 1 and rng.random() < 0.3:
         foot[-1], tip[-1] = foot[-1] + [0, 0.9, 0.3], foot[-1] + [0.88, 1.0, 0.3]
@@ -136,8 +141,7 @@ def stores(rng: np.random.Generator) -> Mesh:
         return pallets(rng)
     count = int(rng.integers(2, 6))
     size = rng.uniform([0.4, 0.3, 0.3], [1.1, 0.7, 0.9], (count, 3))
-    at = rng.uniform(-0.6, 0.6, (count, 2))
-    return boxes(np.column_stack([at, size[:, 2] / 2]), size, _WOOD)
+    return boxes(at_height(rng.uniform(-0.6, 0.6, (count, 2)), size[:, 2] / 2), size, _WOOD)
 
 
 def barriers(rng: np.random.Generator) -> Mesh:
@@ -146,22 +150,17 @@ def barriers(rng: np.random.Generator) -> Mesh:
     long = rng.uniform(1.5, 3.0)
     profile = np.array([[-0.5, 0], [-0.5, 0.1], [-0.2, 0.4], [-0.14, 1.0]])
     ring = np.concatenate([profile, profile[::-1] * [-1, 1]]) * [wide, high]
-    one = loft([np.column_stack([np.full(8, x), ring]) for x in (-long / 2, long / 2)], _CONCRETE)
+    one = loft([xyz(x, *ring.T) for x in (-long / 2, long / 2)], _CONCRETE)
     count = int(rng.integers(1, 6))
-    return join(
-        one.moved(
-            [(k - count / 2) * (long + 0.06), rng.normal(0, 0.05), -0.03], rng.normal(0, 0.03)
-        )
-        for k in range(count)
-    )
+    x = (np.arange(count) - count / 2) * (long + 0.06)
+    return join(one.moved([a, rng.normal(0, 0.05), -0.03], rng.normal(0, 0.03)) for a in x)
 
 
 def cones(rng: np.random.Generator) -> Mesh:
     """A row of three to eight traffic cones along x."""
     count = int(rng.integers(3, 9))
     high = rng.uniform(0.5, 1.0)
-    at = np.zeros((count, 3))
-    at[:, 0] = (np.arange(count) - count / 2) * rng.uniform(0.8, 2.0)
+    at = xyz((np.arange(count) - count / 2) * rng.uniform(0.8, 2.0), 0, 0)
     at += rng.normal(0, 0.08, (count, 3)) * [1, 1, 0]
     body = tubes(at, at + above(high), [0.3 * high, 0.04], 0.6)
     return join([body, boxes(at + above(0.02), [0.5 * high, 0.5 * high, 0.05], 0.2)])
@@ -182,28 +181,19 @@ def rubble(rng: np.random.Generator) -> Mesh:
     reach, high = rng.uniform([1.0, 0.6], [3.4, 2.4])
     angle = np.linspace(0, 2 * np.pi, 13)[:-1]
     wave = rng.uniform(0.75, 1.2, 12)
-    rings = [
-        np.column_stack(
-            [k * reach * wave * np.cos(angle), k * reach * wave * np.sin(angle), np.full(12, z)]
-        )
-        for k, z in ((1.0, -0.2), (0.7, 0.3 * high), (0.4, 0.65 * high), (0.1, 0.85 * high))
-    ]
+    levels = ((1.0, -0.2), (0.7, 0.3 * high), (0.4, 0.65 * high), (0.1, 0.85 * high))
+    rings = [polar(k * reach * wave, angle, z) for k, z in levels]
     count = int(30 * reach)
     out = np.sqrt(rng.uniform(0, 1, count)) * reach
     turn = rng.uniform(0, 2 * np.pi, count)
     lift = 0.85 * high * np.clip(1 - out / reach, 0, 1)
-    center = np.column_stack([out * np.cos(turn), out * np.sin(turn), lift])
+    center = polar(out, turn, lift)
     size = rng.uniform(0.1, 0.9, (count, 1)) * rng.uniform([0.5, 0.4, 0.15], [1.2, 1.0, 0.6])
     beams = int(rng.integers(0, 5))
     foot = center[:beams]
     tip = foot + rng.normal(0, 1, (beams, 3)) * [1.0, 1.0, 0.4] + above(0.8)
-    return join(
-        [
-            loft(rings, _CONCRETE),
-            tumbled(rng, center, size, _CONCRETE),
-            tubes(foot, tip, [0.07, 0.07], _RUST, sides=4),
-        ]
-    )
+    blocks = tumbled(rng, center, size, _CONCRETE)
+    return join([loft(rings, _CONCRETE), blocks, tubes(foot, tip, 0.07, _RUST, sides=4)])
 
 
 _CLAD = 0.55
@@ -230,7 +220,7 @@ def ladder(foot: Float64, high: float) -> Mesh:
         tubes(rung + stile[0], rung + stile[1], [0.015, 0.015], _STEEL, sides=4),
     ]
     angle = np.linspace(-1.9, 1.9, 7)
-    hoop = np.column_stack([0.38 + 0.38 * np.cos(angle), 0.38 * np.sin(angle), 0 * angle])
+    hoop = [0.38, 0, 0] + polar(0.38, angle)
     for z in np.arange(2.5, high, 0.9):
         ring = foot + hoop + above(z)
         parts.append(tubes(ring[:-1], ring[1:], [0.02, 0.02], _STEEL, sides=3))
@@ -249,8 +239,7 @@ def upright_tank(rng: np.random.Generator) -> Building:
     seams = np.arange(1.5, high, rng.uniform(1.2, 2.2))[:, None] * [0, 0, 1]
     parts = [shell, tubes(seams, seams + above(0.06), [r + 0.03, r + 0.03], paint, sides=28)]
     angle = np.linspace(0, 2 * np.pi, int(6 * r))
-    edge = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(len(angle), high)])
-    parts.append(handrail(edge * [0.95, 0.95, 1]))
+    parts.append(handrail(polar(r, angle, high) * [0.95, 0.95, 1]))
     parts.append(ladder(np.array([r + 0.08, 0, 0]), high + 0.9))
     nozzle = np.array([[0, -r + 0.1, z] for z in rng.uniform(0.4, 1.2, 2)])
     parts.append(tubes(nozzle, nozzle - [0, 0.6, 0], [0.12, 0.12], _STEEL))
@@ -262,11 +251,10 @@ def upright_tank(rng: np.random.Generator) -> Building:
 
 
 def _bund(size: float, high: float) -> Mesh:
-    half = size / 2
-    middle = [[half, 0], [-half, 0], [0, half], [0, -half]]
-    long = [[0.2, size], [0.2, size], [size, 0.2], [size, 0.2]]
-    at = np.column_stack([middle, np.full(4, high / 2 - 0.2)])
-    return boxes(at, np.column_stack([long, np.full(4, high + 0.4)]), _CONCRETE)
+    half, tall, z = size / 2, high + 0.4, high / 2 - 0.2
+    middle = [[half, 0, z], [-half, 0, z], [0, half, z], [0, -half, z]]
+    walls = [[0.2, size, tall]] * 2 + [[size, 0.2, tall]] * 2
+    return boxes(middle, walls, _CONCRETE)
 
 
 def lying_tank(rng: np.random.Generator) -> Building:
@@ -280,7 +268,7 @@ def lying_tank(rng: np.random.Generator) -> Building:
     parts += [ellipsoid([s * x, 0, z], [0.6 * r, r, r], paint, rings=7) for s in (-1, 1)]
     saddles = [[s * 0.65 * x, 0, z / 2 - 0.3] for s in (-1, 1)]
     parts.append(boxes(saddles, [0.4, 1.6 * r, z + 0.2], _CONCRETE))
-    top = np.column_stack([rng.uniform(-x, x, 4), np.zeros(4), np.full(4, z + r - 0.1)])
+    top = xyz(rng.uniform(-x, x, 4), 0, z + r - 0.1)
     parts.append(tubes(top, top + above(0.5), [0.12, 0.12], _STEEL))
     if rng.random() < 0.5:
         edge = np.array([[-x, -0.4, z + r], [0, -0.4, z + r], [x, -0.4, z + r]])
@@ -294,7 +282,7 @@ def silos(rng: np.random.Generator) -> Building:
     r, high, leg = rng.uniform([0.9, 4.0, 1.5], [1.9, 9.0, 3.5])
     pitch = 2 * r + rng.uniform(0.3, 1.0)
     x = (np.arange(count) - (count - 1) / 2) * pitch
-    foot = np.column_stack([x, np.zeros((count, 2))])
+    foot = xyz(x, 0, 0)
     paint = float(rng.uniform(0.4, 0.7))
     parts = [
         tubes(foot + above(leg), foot + above(leg + high), [r, r], paint, sides=20),
@@ -302,7 +290,7 @@ def silos(rng: np.random.Generator) -> Building:
         tubes(foot + above(leg + high), foot + above(leg + high + 0.4), [r, 0.1], paint, sides=20),
     ]
     turn = np.pi / 4 + np.arange(4) * np.pi / 2
-    around = np.column_stack([r * np.cos(turn), r * np.sin(turn), np.zeros(4)])
+    around = polar(r, turn)
     legs = (foot[:, None] + around).reshape(-1, 3)
     parts.append(tubes(legs - above(0.3), legs + above(leg + 0.5), [0.1, 0.1], _STEEL))
     cross = (foot[:, None] + np.roll(around, 1, 0)).reshape(-1, 3)
@@ -323,12 +311,11 @@ def pipe_rack(rng: np.random.Generator) -> Building:
     foot = np.array([[a, s * wide / 2, -0.3] for a in x for s in (-1, 1)])
     parts = [boxes(foot + above((levels[-1] + 0.6) / 2), [0.2, 0.2, levels[-1] + 0.6], _STEEL)]
     for z in levels:
-        beam = np.column_stack([x, np.zeros(len(x)), np.full(len(x), z)])
-        parts.append(boxes(beam, [0.18, wide + 0.2, 0.2], _STEEL))
+        parts.append(boxes(xyz(x, 0, z), [0.18, wide + 0.2, 0.2], _STEEL))
         count = int(rng.integers(2, 8))
         y = np.sort(rng.uniform(-wide / 2 + 0.15, wide / 2 - 0.15, count))
         r = rng.uniform(0.04, 0.2, count)
-        begin = np.column_stack([np.full(count, -long / 2 - 0.3), y, z + 0.1 + r])
+        begin = xyz(-long / 2 - 0.3, y, z + 0.1 + r)
         end = begin * [-1, 1, 1]
         drop = rng.random(count) < 0.3
         end[drop, 0] = x[rng.integers(1, len(x), drop.sum())] - 0.5
@@ -336,9 +323,8 @@ def pipe_rack(rng: np.random.Generator) -> Building:
         parts.append(tubes(end[drop], end[drop] * [1, 1, 0], np.column_stack([r, r])[drop], _CLAD))
     if rng.random() < 0.6:
         brace = foot[:2] + above(0.3)
-        parts.append(
-            tubes(brace, brace + [pitch, 0, levels[0] - 0.3], [0.05, 0.05], _STEEL, sides=4)
-        )
+        tip = brace + [pitch, 0, levels[0] - 0.3]
+        parts.append(tubes(brace, tip, [0.05, 0.05], _STEEL, sides=4))
     return Building(join(parts), long + 1.0, wide + 0.6)
 
 
@@ -367,16 +353,14 @@ def stair_tower(rng: np.random.Generator) -> Building:
     roofed = rng.random() < 0.4
     parts = [tubes(corner - above(0.3), corner + above(top + 2.4 * roofed), 0.11, _STEEL)]
     levels = rise * np.arange(1, floors + 1)
-    decks = np.column_stack([np.zeros((floors, 2)), levels])
-    parts.append(boxes(decks, [wide, deep, 0.08], _STEEL))
+    parts.append(boxes(xyz(0, 0, levels), [wide, deep, 0.08], _STEEL))
     edge = np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]]) * [wide / 2, deep / 2]
-    for z in levels:
-        parts.append(handrail(np.column_stack([edge, np.full(4, z)])))
+    parts += [handrail(at_height(edge, z)) for z in levels]
     stairs = 1.0
     for k in range(floors):
-        t = np.linspace(0, 1, int(rise / 0.19))[:, None]
+        t = np.linspace(0, 1, int(rise / 0.19))
         way = (1 - 2 * (k % 2)) * (t - 0.5) * (deep - 0.8)
-        step = np.hstack([np.full_like(t, wide / 2 + stairs / 2), way, (k + t) * rise])
+        step = xyz(wide / 2 + stairs / 2, way, (k + t) * rise)
         parts.append(boxes(step, [stairs, 0.27, 0.05], _STEEL))
         parts.append(handrail(step[[0, len(t) // 2, -1]] + [stairs / 2, 0, 0]))
     a = corner[:2] + above(0.1)
@@ -388,7 +372,7 @@ def stair_tower(rng: np.random.Generator) -> Building:
         parts.append(boxes([0, 0, top + 2.4], [wide + 0.6, deep + 0.6, 0.12], _STEEL))
     wall = np.array([[-1, -1], [-1, 1]]) * [wide / 2, deep / 2]
     for z in levels[rng.random(floors) < 0.35]:
-        low = np.column_stack([wall, np.full(2, z - rise)])
+        low = at_height(wall, z - rise)
         parts.append(quads(np.concatenate([low, low[::-1] + above(rise)]), _CLAD))
     return Building(join(parts).moved([-stairs / 2, 0, 0]), wide + stairs + 0.3, deep + 0.3)
 
@@ -402,7 +386,7 @@ def light_mast(rng: np.random.Generator) -> Mesh:
         boxes([0, 0, tall], [0.1, wide, 0.1], _STEEL),
     ]
     y = np.linspace(-wide / 2, wide / 2, int(rng.integers(2, 6)))
-    heads = np.column_stack([np.full(len(y), 0.25), y, np.full(len(y), tall - 0.2)])
+    heads = xyz(0.25, y, tall - 0.2)
     parts.append(boxes(heads, rng.uniform([0.25, 0.3, 0.3], [0.4, 0.5, 0.5]), 0.6))
     if tall > 12:
         parts.append(ladder(np.array([0.2, 0, 0]), tall))
@@ -418,13 +402,12 @@ def hall(rng: np.random.Generator) -> Building:
     paint = float(rng.uniform(0.3, 0.7))
     pitch = float(rng.uniform(0.25, 0.9))
     fold = float(rng.uniform(0.02, 0.07))
-    corners = [(-width / 2, -depth / 2), (width / 2, -depth / 2)]
-    corners += [(width / 2, depth / 2), (-width / 2, depth / 2)]
     parts = []
-    for k, (x, y) in enumerate(corners):
+    for k, corner in enumerate(_SIGNS):
         long = width if k % 2 == 0 else depth
         doors = _doors(rng, long, high) if k % 2 == 0 or rng.random() < 0.3 else np.zeros((0, 3))
         side = _clad_wall(rng, long, high, pitch, fold, paint, doors)
+        x, y = np.array(corner) * [width / 2, depth / 2]
         parts.append(side.moved([x, y, 0], k * np.pi / 2))
     parts.append(_hall_roof(rng, width, depth, high, paint))
     return Building(join(parts), width, depth)
@@ -473,7 +456,7 @@ def _roller_door(rng: np.random.Generator, a: float, b: float, top: float, paint
     raised = top * rng.choice([0.0, 0.0, 0.35, 0.9])
     slats = np.arange(raised, top + 0.01, 0.16)
     y = 0.25 + 0.02 * (np.arange(len(slats)) % 2)
-    line = np.column_stack([np.zeros(len(slats)), y, slats])
+    line = xyz(0, y, slats)
     jambs = [[[x, 0, -0.2], [x, 0.3, -0.2], [x, 0.3, top], [x, 0, top]] for x in (a, b)]
     posts = np.array([[x + s * 0.35, -0.6, -0.2] for x, s in ((a, -1), (b, 1))])
     parts = [
@@ -490,15 +473,12 @@ def _window_strip(long: float, low: float) -> Mesh:
     """Panes side by side under the eaves."""
     n = int(long / 1.6)
     x = (np.arange(n) + 0.5) * long / n
-    pane = np.array([[-0.6, 0], [0.6, 0], [0.6, 0.6], [-0.6, 0.6]])
-    corner = np.zeros((n, 4, 3))
-    corner[..., 0] = x[:, None] + pane[:, 0]
-    corner[..., 1], corner[..., 2] = -0.02, low + pane[:, 1]
-    return glass(quads(corner, 0.0))
+    side, up = np.array([[-0.6, 0.6, 0.6, -0.6], [0, 0, 0.6, 0.6]])
+    return glass(quads(xyz(x[:, None] + side, -0.02, low + up), 0.0))
 
 
 def _sheet(x: Float64, y: Float64, low: float, top: float, paint: float) -> Mesh:
-    foot = np.column_stack([x, y, np.full(len(x), low)])
+    foot = xyz(x, y, low)
     return loft(np.stack([foot, foot + above(top - low)], axis=1), paint, closed=False)
 
 
@@ -512,13 +492,10 @@ def _hall_roof(
     parts = []
     for a, b in pairwise(edge):
         ridge = b - 0.02 if saw else (a + b) / 2
-        line = np.array([[a, high], [ridge, high + rise], [b, high]])
-        ends = [np.column_stack([np.full(3, s * width / 2), line]) for s in (-1, 1)]
-        parts.append(loft(ends, paint))
+        y, z = (a, ridge, b), (high, high + rise, high)
+        parts.append(loft([xyz(s * width / 2, y, z) for s in (-1, 1)], paint))
     count = int(rng.integers(1, 6))
-    at = np.column_stack(
-        [rng.uniform(-0.4, 0.4, (count, 2)) * [width, depth], np.full(count, high)]
-    )
+    at = at_height(rng.uniform(-0.4, 0.4, (count, 2)) * [width, depth], high)
     parts.append(tubes(at, at + above(rise + rng.uniform(0.5, 2.5)), [0.25, 0.25], _STEEL))
     return join(parts)
 
@@ -529,26 +506,21 @@ def training_house(rng: np.random.Generator) -> Building:
     floors = int(rng.integers(1, 6)) if width < 9 else int(rng.integers(1, 4))
     rise = float(rng.uniform(2.6, 3.2))
     top = floors * rise
-    corners = [(-width / 2, -depth / 2), (width / 2, -depth / 2)]
-    corners += [(width / 2, depth / 2), (-width / 2, depth / 2)]
-    parts = [
-        _pierced_wall(rng, width if k % 2 == 0 else depth, floors, rise).moved(
-            [*c, 0], k * np.pi / 2
-        )
-        for k, c in enumerate(corners)
-    ]
-    slabs = np.column_stack([np.zeros((floors + 1, 2)), rise * np.arange(floors + 1)])
-    parts.append(boxes(slabs, [width - 0.05, depth - 0.05, 0.2], _CONCRETE))
-    inner = rng.uniform(-0.25, 0.25, (floors, 1)) * [width, 0]
-    middle = np.column_stack([inner, slabs[:-1, 2] + rise / 2])
-    parts.append(boxes(middle, [0.15, depth - 0.5, rise], _CONCRETE))
+    parts = []
+    for k, corner in enumerate(_SIGNS):
+        side = _pierced_wall(rng, width if k % 2 == 0 else depth, floors, rise)
+        x, y = np.array(corner) * [width / 2, depth / 2]
+        parts.append(side.moved([x, y, 0], k * np.pi / 2))
+    z = rise * np.arange(floors + 1)
+    parts.append(boxes(xyz(0, 0, z), [width - 0.05, depth - 0.05, 0.2], _CONCRETE))
+    inner = rng.uniform(-0.25, 0.25, floors) * width
+    parts.append(boxes(xyz(inner, 0, z[:-1] + rise / 2), [0.15, depth - 0.5, rise], _CONCRETE))
     if rng.random() < 0.5:
         rim = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * [width / 2, depth / 2]
-        parts.append(handrail(np.column_stack([rim * 0.97, np.full(5, top)])))
+        parts.append(handrail(at_height(rim * 0.97, top)))
     else:
-        parts.append(
-            boxes([[0, s * depth / 2, top + 0.4] for s in (-1, 1)], [width, 0.2, 0.8], 0.4)
-        )
+        edges = [[0, s * depth / 2, top + 0.4] for s in (-1, 1)]
+        parts.append(boxes(edges, [width, 0.2, 0.8], 0.4))
     if floors > 1:
         parts.append(_outer_stairs(width, depth, floors, rise))
     if rng.random() < 0.4:
@@ -560,9 +532,9 @@ def training_house(rng: np.random.Generator) -> Building:
 def _outer_stairs(width: float, depth: float, floors: int, rise: float) -> Mesh:
     parts, x = [], width / 2 + 0.65
     for k in range(floors - 1):
-        t = np.linspace(0, 1, 15)[:, None]
+        t = np.linspace(0, 1, 15)
         way = (1 - 2 * (k % 2)) * (t - 0.5) * (depth - 1.0)
-        step = np.hstack([np.full_like(t, x), way, (k + t) * rise])
+        step = xyz(x, way, (k + t) * rise)
         parts.append(boxes(step, [1.2, 0.3, 0.06], _STEEL))
         parts.append(handrail(step[[0, 7, 14]] + [0.6, 0, 0]))
     posts = np.array([[x + 0.55, s * (depth / 2 - 0.4), -0.2] for s in (-1, 1)])
@@ -582,9 +554,8 @@ def _pierced_wall(rng: np.random.Generator, long: float, floors: int, rise: floa
             kind = rng.random()
             middle = (a + b) / 2
             if kind < 0.25 or b - a < 1.2:
-                parts.append(
-                    boxes([middle, thick / 2, z + rise / 2], [b - a, thick, rise], _CONCRETE)
-                )
+                center = [middle, thick / 2, z + rise / 2]
+                parts.append(boxes(center, [b - a, thick, rise], _CONCRETE))
                 continue
             door = kind > 0.85 and floor == 0
             half = 0.5 if door else rng.uniform(0.4, 0.42 * (b - a))
@@ -592,14 +563,9 @@ def _pierced_wall(rng: np.random.Generator, long: float, floors: int, rise: floa
             strips = [(a, middle - half, 0.0, rise), (middle + half, b, 0.0, rise)]
             strips += [(middle - half, middle + half, high, rise)]
             strips += [(middle - half, middle + half, 0.0, low)] if low > 0 else []
-            span = np.array(strips)
-            center = np.column_stack(
-                [span[:, :2].mean(1), np.full(len(span), thick / 2), z + span[:, 2:].mean(1)]
-            )
-            size = np.column_stack(
-                [span[:, 1] - span[:, 0], np.full(len(span), thick), span[:, 3] - span[:, 2]]
-            )
-            parts.append(boxes(center, size, _CONCRETE))
+            x0, x1, z0, z1 = np.array(strips).T
+            at = xyz((x0 + x1) / 2, thick / 2, z + (z0 + z1) / 2)
+            parts.append(boxes(at, xyz(x1 - x0, thick, z1 - z0), _CONCRETE))
             if rng.random() < 0.25 and not door:
                 shutter = [middle + 1.4 * half, -0.05, z + (low + high) / 2]
                 parts.append(boxes(shutter, [0.8 * half, 0.05, high - low], _DARK))

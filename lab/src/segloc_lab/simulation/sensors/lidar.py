@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from segloc.errors import ConfigError
 
-from .ranging import Lidar, Rays
+from .ranging import Lidar, Rays, directions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +45,8 @@ class SpinningLidar(Lidar):
         elevation = np.radians(np.array(self.elevations_deg))
         azimuth = turn[:, None] + np.radians(np.array(self.azimuths_deg))
         column = np.arange(len(elevation)) % len(self.azimuths_deg)
-        flat = np.cos(elevation)
-        directions = np.empty((len(turn), len(elevation), 3), dtype=np.float32)
-        directions[..., 0] = np.cos(azimuth)[:, column] * flat
-        directions[..., 1] = np.sin(azimuth)[:, column] * flat
-        directions[..., 2] = np.sin(elevation)
         times = np.arange(self.azimuth_steps) / (self.azimuth_steps * self.rate_hz)
-        return Rays(directions.reshape(-1, 3), times)
+        return Rays(directions(azimuth[:, column], elevation), times)
 
     def thinned(self, factor: int) -> SpinningLidar:
         return replace(self, azimuth_steps=self._fewer(self.azimuth_steps, factor, 1))
@@ -221,9 +216,8 @@ class RosetteLidar(Lidar):
         super().__post_init__()
         fan = (self.beams - 1) * self.beam_gap_deg
         if self.firings < 1 or self.beams < 1:
-            raise ConfigError(
-                f"firings and beams must be at least 1, not {self.firings} and {self.beams}"
-            )
+            found = f"{self.firings} and {self.beams}"
+            raise ConfigError(f"firings and beams must be at least 1, not {found}")
         if not (0 < self.view_deg[0] < 180 and 0 <= fan < self.view_deg[1] < 180):
             raise ConfigError(
                 f"view_deg must be within 0..180 and hold the fan of beams, not {self.view_deg}"
@@ -238,11 +232,7 @@ class RosetteLidar(Lidar):
         reach = self.view_deg[1] / 2 - fan[-1]
         azimuth = np.radians(spot.real * self.view_deg[0] / 2)[:, None]
         elevation = np.radians((spot.imag * reach)[:, None] + fan)
-        flat = np.cos(elevation)
-        directions = np.stack(
-            [np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)], axis=-1
-        )
-        return Rays(directions.reshape(-1, 3).astype(np.float32), times)
+        return Rays(directions(azimuth, elevation), times)
 
     def thinned(self, factor: int) -> RosetteLidar:
         return replace(self, firings=self._fewer(self.firings, factor, 1))
@@ -276,9 +266,8 @@ class SwirlLidar(Lidar):
         if self.firings < 1:
             raise ConfigError(f"firings must be at least 1, not {self.firings}")
         if not (self.turns_hz > 0 and self.nods_hz > 0):
-            raise ConfigError(
-                f"turns_hz and nods_hz must be positive, not {self.turns_hz}, {self.nods_hz}"
-            )
+            found = f"{self.turns_hz}, {self.nods_hz}"
+            raise ConfigError(f"turns_hz and nods_hz must be positive, not {found}")
 
     def rays(self, phase: float, number: int = 0) -> Rays:
         """One beam after another; it goes on from where scan ``number`` - 1 ended."""
@@ -287,10 +276,7 @@ class SwirlLidar(Lidar):
         azimuth = -2 * np.pi * self.turns_hz * since
         up = 2 * np.abs((self.nods_hz * since + 0.25) % 1.0 - 0.5)  # evenly up and down
         low, high = self.elevations_deg
-        elevation = np.radians(low + (high - low) * up)
-        flat = np.cos(elevation)
-        directions = [np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)]
-        return Rays(np.stack(directions, axis=-1).astype(np.float32), times)
+        return Rays(directions(azimuth, np.radians(low + (high - low) * up)), times)
 
     def thinned(self, factor: int) -> SwirlLidar:
         return replace(self, firings=self._fewer(self.firings, factor, 1))

@@ -55,14 +55,10 @@ def mix_echoes(
     ranges = np.where(close, between, np.where(swapped, far, own))
     light = np.where(close, np.float32(1.0), np.where(swapped, share, 1 - share))
     source = np.where(swapped, other, ray)
-    changed = {
-        "object_ids": hits.object_ids[source],
-        "reflectance": hits.reflectance[source] * light,
-        "cosines": hits.cosines[source],
-    }
     hits.ranges[ray] = ranges
-    for name, values in changed.items():
-        getattr(hits, name)[ray] = values
+    hits.object_ids[ray] = hits.object_ids[source]
+    hits.reflectance[ray] = hits.reflectance[source] * light
+    hits.cosines[ray] = hits.cosines[source]
 
 
 def _beams_on_edges(
@@ -175,6 +171,13 @@ class Rays(NamedTuple):
         return len(self.directions) // len(self.times)
 
 
+def directions(azimuth: Float64, elevation: Float64) -> Float32:
+    """Unit vectors (n, 3) of angles that broadcast, radians."""
+    flat = np.cos(elevation)
+    ways = np.broadcast_arrays(np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation))
+    return np.stack(ways, axis=-1).reshape(-1, 3).astype(np.float32)
+
+
 class Returns(NamedTuple):
     """What a sensor reports of one scan.
 
@@ -247,10 +250,8 @@ class Lidar(ABC):
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_range_m < self.max_range_m:
-            raise ConfigError(
-                "min_range_m and max_range_m must rise from 0, "
-                f"not {self.min_range_m}, {self.max_range_m}"
-            )
+            span = f"{self.min_range_m}, {self.max_range_m}"
+            raise ConfigError(f"min_range_m and max_range_m must rise from 0, not {span}")
         not_negative = ("range_sigma_m", "beam_bias_sigma_m", "incidence_exponent")
         for name in (*not_negative, "divergence_mrad", "unit"):
             if not getattr(self, name) >= 0:
@@ -325,11 +326,6 @@ class Lidar(ABC):
         ways = local @ T[:, :3, :3].transpose(0, 2, 1)
         origins = np.broadcast_to(T[:, None, :3, 3], ways.shape).reshape(-1, 3)
         ways = ways.reshape(-1, 3)
-        return self._measure(scene, rays, origins, ways, rng)
-
-    def _measure(
-        self, scene: Scene, rays: Rays, origins: Float32, ways: Float32, rng: np.random.Generator
-    ) -> Returns:
         hits = scene.cast(origins, ways, self.max_range_m)
         if self.glass:
             self._meet_glass(scene, origins, ways, hits)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from ..objects.buildings import house
 from ..objects.fixtures import bus_shelter, cabinet, lamp, traffic_sign
-from ..objects.mesh import Objects
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
+from .layout import Frontage, Site, check_world, lay_kerb, paved_site, town_tree
 from .roads import street_network
-from .world import Catalogue, World
+from .world import Catalogue, World, remember
 
 _MARGIN, _BLOCK = 30.0, 46.0
 _BAY = (2.5, 5.0)  # metres
@@ -19,6 +16,7 @@ _ROWS = (2.9, 8.1)  # of the middles of bays beyond the kerb, metres
 _EVERY = 9  # bays from lamp to lamp
 
 
+@remember
 def car_park(seed: int, *, size_m: float = 240.0, repetition: float = 0.9) -> World:
     """A car park of about ``size_m`` metres square; the same for the same seed.
 
@@ -27,19 +25,14 @@ def car_park(seed: int, *, size_m: float = 240.0, repetition: float = 0.9) -> Wo
     repetition : float
         Share of the cars, lamps, trees and shelters that are of a few types, 0 to 1.
     """
-    return _car_park(seed, size_m, repetition)
-
-
-@lru_cache(maxsize=2)
-def _car_park(seed: int, size_m: float, repetition: float) -> World:
     check_world(seed, size_m, 130.0, 600.0)
     catalogue = Catalogue(seed, repetition)
     rng = np.random.default_rng([seed, 32_452_843])
     lanes = street_network(
         rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(2.9, 3.1), shift=0.08, bend=0.02
     )
-    terrain, reflectance = paved_ground(rng, lanes, size_m, slope=0.012, paved_m=40.0)
-    site = Site(rng, terrain, lanes, Occupancy(size_m), green=0.2, catalogue=catalogue)
+    site = paved_site(rng, lanes, size_m, slope=0.012, paved_m=40.0)
+    site.green, site.catalogue = 0.2, catalogue
     busy = float(rng.uniform(0.55, 0.9))
     for street in lanes.streets:
         for side in (1, -1):
@@ -47,17 +40,7 @@ def _car_park(seed: int, size_m: float, repetition: float) -> World:
             lay_kerb(site, front)
             _bays(site, front, busy)
     _buildings(site, size_m)
-    return World(
-        f"car_park-{seed}",
-        seed,
-        terrain,
-        reflectance,
-        lanes,
-        Objects.of(site.items, 1),
-        site.spots(),
-        (_car_park, (seed, size_m, repetition)),
-        catalogue=catalogue,
-    )
+    return site.world("car_park", seed)
 
 
 def _bays(site: Site, front: Frontage, busy: float) -> None:

@@ -4,29 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc.types import Float64
 
-from ..objects.fixtures import bench, name_sign
-from ..objects.vegetation import (
-    boulder,
-    brushwood,
-    fern,
-    grow,
-    log,
-    root_plate,
-    stump,
-    thicket,
-    woodpile,
-)
-from .land import Ground, Land, lay_out, scattered
+from ..objects import fixtures, vegetation
+from .land import Ground, Land, Options, grow_thicket, lay_out, scattered
 from .layout import check_world
 from .roads import street_network
-from .world import Catalogue, World
+from .world import Catalogue, World, remember
 
 _STAND = 65.0  # width of a stand, metres
 _LOOKED_AT = 20.0  # from a track: small things farther away are left out
@@ -34,30 +23,14 @@ _LOOKED_AT = 20.0  # from a track: small things farther away are left out
 
 @dataclass(frozen=True)
 class Stand:
-    """A part of a forest in which trees are alike.
+    """A part of a forest in which trees are alike."""
 
-    Attributes
-    ----------
-    mix : dict
-        Species and their shares.
-    spacing : (low, high)
-        Metres between trees.
-    loose : float
-        How far trees leave their lattice, in steps: a tenth where they were planted.
-    scale : (low, high)
-        Of the trees' heights.
-    growth : float
-        Thickets, ferns and saplings, in 100 square metres.
-    fallen : float
-        Logs, stumps and brushwood, in 100 square metres.
-    """
-
-    mix: dict[str, float]
-    spacing: tuple[float, float]
-    loose: float = 0.55
-    scale: tuple[float, float] = (0.85, 1.15)
-    growth: float = 1.5
-    fallen: float = 0.5
+    mix: dict[str, float]  # species and their shares
+    spacing: tuple[float, float]  # from tree to tree, metres
+    loose: float = 0.55  # how far trees leave their lattice, in steps: 0.1 where planted
+    scale: tuple[float, float] = (0.85, 1.15)  # of the trees' heights
+    growth: float = 1.5  # thickets, ferns and saplings, in 100 square metres
+    fallen: float = 0.5  # logs, stumps and brushwood, in 100 square metres
 
 
 _MIXED = {
@@ -80,6 +53,7 @@ STANDS: tuple[tuple[float, Stand], ...] = (
 _PLANTED = Stand({"spruce": 1.0}, (3.8, 4.4), 0.04, scale=(0.97, 1.03), growth=0.3, fallen=0.1)
 
 
+@remember
 def forest(seed: int, *, size_m: float = 280.0, repetition: float = 0.0) -> World:
     """A forest of about ``size_m`` metres square; the same for the same seed.
 
@@ -89,11 +63,6 @@ def forest(seed: int, *, size_m: float = 280.0, repetition: float = 0.0) -> Worl
         Share of the stands that are spruces planted in rows, and of the trees that are of a few
         shapes, 0 to 1.
     """
-    return _forest(seed, size_m, repetition)
-
-
-@lru_cache(maxsize=2)
-def _forest(seed: int, size_m: float, repetition: float) -> World:
     check_world(seed, size_m, 100.0, 400.0)
     catalogue = Catalogue(seed, repetition)
     rng = np.random.default_rng([seed, 15_485_863])
@@ -119,7 +88,7 @@ def _forest(seed: int, size_m: float, repetition: float) -> World:
     for k, pick in enumerate(chosen):
         planted = repetition > 0 and rng.random() < repetition
         _plant(land, _PLANTED if planted else STANDS[pick][1], partial(_belongs, nearest, k))
-    return land.world("forest", seed, _forest, seed, size_m, repetition)
+    return land.world("forest", seed)
 
 
 def _belongs(seeds: cKDTree, stand: int, xy: Float64) -> np.ndarray:
@@ -136,7 +105,8 @@ def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> N
     for at, kind in zip(points[rng.random(len(points)) < 0.88], kinds, strict=False):
         source = land.like(f"tree {kind}")
         detail, scale = land.detail(at), float(source.uniform(*stand.scale))
-        land.grow("tree", partial(grow, source, str(kind), detail=detail, scale=scale), at, 1.2)
+        make = partial(vegetation.grow, kind=str(kind), detail=detail, scale=scale)
+        land.grow("tree", make, at, 1.2, source=source)
     patches = scattered(rng, size_m, 10.0 / np.sqrt(stand.growth), 0.6)
     for at in patches[mine(patches)]:
         if land.distance(at) < _LOOKED_AT:
@@ -147,39 +117,47 @@ def _plant(land: Land, stand: Stand, mine: Callable[[Float64], np.ndarray]) -> N
             _fallen(land, at)
 
 
+_SAPLINGS: Options = (
+    (0.8, "sapling", partial(vegetation.grow, kind="sapling"), 0.5),
+    (0.9, "bush", partial(vegetation.grow, kind="hazel", scale=0.6), 0.8),
+    (1.0, "bush", lambda rng: vegetation.grow(rng, "yew", scale=rng.uniform(0.4, 0.8)), 1.2),
+)
+_FALLEN: Options = (
+    (0.7, "stump", vegetation.stump, 0.9),
+    (0.9, "brushwood", vegetation.brushwood, 1.2),
+    (1.0, "boulder", vegetation.boulder, 1.0),
+)
+
+
 def _undergrowth(land: Land, at: Float64) -> None:
     rng, pick = land.rng, land.rng.random()
     if pick < 0.3:
-        radius, high = rng.uniform([0.5, 0.5], [1.9, 1.7])
-        detail = land.detail(at)
-        land.grow("thicket", lambda: thicket(rng, radius, high, detail), at, 1.2 * radius)
+        grow_thicket(land, at, [0.5, 0.5], [1.9, 1.7])
     elif pick < 0.55:
         for spot in at + rng.normal(0, 1.0, (int(rng.integers(1, 6)), 2)):
-            land.grow("fern", lambda: fern(rng), spot, 0.5)
-    elif pick < 0.8:
-        land.grow("sapling", lambda: grow(rng, "sapling"), at, 0.5)
-    elif pick < 0.9:
-        land.grow("bush", lambda: grow(rng, "hazel", scale=0.6), at, 0.8)
+            land.grow("fern", vegetation.fern, spot, 0.5)
     else:
-        land.grow("bush", lambda: grow(rng, "yew", scale=rng.uniform(0.4, 0.8)), at, 1.2)
+        land.grow_one(_SAPLINGS, pick, at)
 
 
 def _fallen(land: Land, at: Float64) -> None:
     rng, pick = land.rng, land.rng.random()
-    if pick < 0.4:
-        turn, long = rng.uniform(0, 2 * np.pi), rng.uniform(2.0, 12.0)
-        way = np.array([np.cos(turn), np.sin(turn)])
-        points = land.line(at + np.linspace(0, long, 10)[:, None] * way)
-        if len(points) > 3:
-            land.items.append(("log", land.pruned(log(rng, land.ground_line(points)))))
-            if rng.random() < 0.3:
-                land.grow("root plate", lambda: root_plate(rng), at - 0.4 * way, 0.8, yaw=turn)
-    elif pick < 0.7:
-        land.grow("stump", lambda: stump(rng), at, 0.9)
-    elif pick < 0.9:
-        land.grow("brushwood", lambda: brushwood(rng), at, 1.2)
-    else:
-        land.grow("boulder", lambda: boulder(rng), at, 1.0)
+    if pick >= 0.4:
+        land.grow_one(_FALLEN, pick, at)
+        return
+    turn, long = rng.uniform(0, 2 * np.pi), rng.uniform(2.0, 12.0)
+    way = np.array([np.cos(turn), np.sin(turn)])
+    points = land.line(at + np.linspace(0, long, 10)[:, None] * way)
+    if len(points) > 3:
+        land.put("log", vegetation.log(rng, land.ground_line(points)))
+        if rng.random() < 0.3:
+            land.grow("root plate", vegetation.root_plate, at - 0.4 * way, 0.8, yaw=turn)
+
+
+_BY_TRACKS: Options = (
+    (0.5, "bench", fixtures.bench, 1.6),
+    (0.65, "name sign", fixtures.name_sign, 1.0),
+)
 
 
 def _by_the_tracks(land: Land) -> None:
@@ -192,10 +170,8 @@ def _by_the_tracks(land: Land) -> None:
             facing = float(yaw) - side * np.pi / 2
             pick = rng.random()
             if pick < 0.35:
-                land.grow("woodpile", lambda: woodpile(rng), at, 2.4, yaw=float(yaw) - np.pi / 2)
-            elif pick < 0.5:
-                land.grow("bench", lambda: bench(rng), at, 1.6, yaw=facing)
-            elif pick < 0.65:
-                land.grow("name sign", lambda: name_sign(rng), at, 1.0, yaw=facing)
+                land.grow("woodpile", vegetation.woodpile, at, 2.4, yaw=float(yaw) - np.pi / 2)
+            else:
+                land.grow_one(_BY_TRACKS, pick, at, facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
         land.walkers(street.at(walkers, street.half_width + 1.4)[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -11,70 +10,53 @@ import numpy as np
 
 from segloc.types import Float64
 
+from ..objects import fixtures, works
 from ..objects.buildings import Building, shed
-from ..objects.fixtures import cabinet, lamp, name_sign, skip_container, traffic_sign
-from ..objects.mesh import Mesh, Objects, above, boxes, join, quads, tubes
+from ..objects.mesh import Mesh, above, boxes, join, quads, tubes
 from ..objects.vegetation import bush, shrubs
 from ..objects.vehicles import vehicle
-from ..objects.works import (
-    barriers,
-    container_stack,
-    drums,
-    gantry,
-    hall,
-    light_mast,
-    lying_tank,
-    pallets,
-    pipe_rack,
-    rubble,
-    silos,
-    stair_tower,
-    training_house,
-    upright_tank,
-)
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
+from .layout import Frontage, Site, check_world, lay_kerb, paved_site, town_tree
 from .roads import street_network
-from .world import World
+from .world import World, remember
 
 _MARGIN, _BLOCK = 34.0, 62.0
 
 Maker: TypeAlias = Callable[[np.random.Generator], Mesh]
 
 STRUCTURES: tuple[tuple[str, Callable[[np.random.Generator], Building], float], ...] = (
-    ("hall", hall, 0.2),
-    ("training house", training_house, 0.2),
-    ("tank", upright_tank, 0.14),
-    ("vessel", lying_tank, 0.12),
-    ("silo", silos, 0.08),
-    ("pipe rack", pipe_rack, 0.12),
-    ("stair tower", stair_tower, 0.09),
-    ("gantry", gantry, 0.05),
+    ("hall", works.hall, 0.2),
+    ("training house", works.training_house, 0.2),
+    ("tank", works.upright_tank, 0.14),
+    ("vessel", works.lying_tank, 0.12),
+    ("silo", works.silos, 0.08),
+    ("pipe rack", works.pipe_rack, 0.12),
+    ("stair tower", works.stair_tower, 0.09),
+    ("gantry", works.gantry, 0.05),
 )
 """Kind, maker and share of what is put up along roads and within blocks."""
 
 CLUTTER: tuple[tuple[str, Maker, float, float], ...] = (
-    ("pallets", pallets, 0.2, 1.5),
-    ("drums", drums, 0.17, 2.2),
-    ("barrier", barriers, 0.15, 6.0),
-    ("rubble", rubble, 0.13, 6.0),
-    ("container", skip_container, 0.1, 3.4),
-    ("cabinet", cabinet, 0.07, 1.4),
-    ("traffic sign", traffic_sign, 0.06, 0.5),
-    ("name sign", name_sign, 0.05, 2.0),
+    ("pallets", works.pallets, 0.2, 1.5),
+    ("drums", works.drums, 0.17, 2.2),
+    ("barrier", works.barriers, 0.15, 6.0),
+    ("rubble", works.rubble, 0.13, 6.0),
+    ("container", fixtures.skip_container, 0.1, 3.4),
+    ("cabinet", fixtures.cabinet, 0.07, 1.4),
+    ("traffic sign", fixtures.traffic_sign, 0.06, 0.5),
+    ("name sign", fixtures.name_sign, 0.05, 2.0),
     ("bush", bush, 0.07, 1.6),
 )
 """Kind, maker, share and size in metres of what lies about on yards."""
 
 
-@lru_cache(maxsize=2)
+@remember
 def industrial(seed: int, *, size_m: float = 330.0) -> World:
     """An industrial estate of about ``size_m`` metres square; a function of its seed alone."""
     check_world(seed, size_m, 130.0, 2000.0)
     rng = np.random.default_rng([seed, 15_485_863])
     roads = street_network(rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=(3.6, 5.6))
     paved = float(rng.uniform(4.0, 14.0))
-    terrain, reflectance = paved_ground(rng, roads, size_m, slope=0.015, paved_m=paved)
-    site = Site(rng, terrain, roads, Occupancy(size_m))
+    site = paved_site(rng, roads, size_m, slope=0.015, paved_m=paved)
     fronts = [
         Frontage(street, side, float(rng.uniform(1.0, 4.0)), "plant")
         for street in roads.streets
@@ -91,20 +73,7 @@ def industrial(seed: int, *, size_m: float = 330.0) -> World:
         _fence_along(site, front)
         _parking(site, front)
     _scatter(site, size_m)
-    return World(
-        f"industrial-{seed}",
-        seed,
-        terrain,
-        reflectance,
-        roads,
-        Objects.of(site.items, 1),
-        site.spots(),
-        (_remake, (seed, size_m)),
-    )
-
-
-def _remake(seed: int, size_m: float) -> World:
-    return industrial(seed, size_m=size_m)
+    return site.world("industrial", seed)
 
 
 def _roadside(site: Site, front: Frontage) -> None:
@@ -113,7 +82,7 @@ def _roadside(site: Site, front: Frontage) -> None:
     masts = rng.random() < 0.4
     for s in np.arange(rng.uniform(6, 25), length - 6, rng.uniform(26, 45)):
         at, yaw = front.at(s, rng.uniform(0.4, 0.9))
-        make, kind = (light_mast, "mast") if masts else (lamp, "lamp")
+        make, kind = (works.light_mast, "mast") if masts else (fixtures.lamp, "lamp")
         site.stand(kind, make(rng), at, float(yaw) - np.pi / 2, 0.7)
     for s in np.arange(rng.uniform(3, 12), length - 3, rng.uniform(9, 22)):
         at, yaw = front.at(s, -0.3)
@@ -164,7 +133,7 @@ def _container_row(site: Site, front: Frontage, s: float) -> float:
 
 
 def _container(site: Site, at: Float64, yaw: float) -> bool:
-    mesh = container_stack(site.rng)
+    mesh = works.container_stack(site.rng)
     low, high = mesh.triangles.min(axis=(0, 1)), mesh.triangles.max(axis=(0, 1))
     reach = 2 * float(max(abs(low[0]), high[0]))
     return site.erect("shipping container", mesh, at, (reach, 2.6), yaw, clearance=0.8)

@@ -9,11 +9,11 @@ import numpy as np
 from segloc.errors import ConfigError
 from segloc.types import Float32, Float64
 
-from ..objects.mesh import Mesh, join, loft, rectangle, scraps
-from ..objects.scene import Terrain, relief, roughness
+from ..objects.mesh import Mesh, Objects, join, loft, rectangle, rotation, scraps, xyz
+from ..objects.scene import Terrain, grid, relief, roughness
 from ..objects.vegetation import SPECIES, bush, grow, shrubs, tree
 from .roads import RoadNetwork, Street
-from .world import Catalogue, Spots
+from .world import Catalogue, Spots, World
 
 _KERB = 0.12
 _STEP = 0.5  # of the terrain's grid, metres
@@ -68,31 +68,18 @@ class Occupancy:
 
 @dataclass(frozen=True)
 class Frontage:
-    """One side of one street, and what stands along it.
-
-    Attributes
-    ----------
-    side : int
-        +1 to the left of the street, -1 to the right.
-    pavement : float
-        Width, metres.
-    character : str
-        What is built: "villas", "terrace", "flats", "mixed" or "green".
-    setback : float
-        Times the usual depth of front gardens.
-    """
+    """One side of one street, and what stands along it."""
 
     street: Street
-    side: int
-    pavement: float
-    character: str
-    setback: float = 1.0
+    side: int  # +1 to the left of the street, -1 to the right
+    pavement: float  # its width, metres
+    character: str  # what is built: "villas", "terrace", "flats", "mixed" or "green"
+    setback: float = 1.0  # times the usual depth of front gardens
 
     def at(self, s: float | Float64, beyond_kerb: float | Float64) -> tuple[Float64, Float64]:
         """Points and yaws; local +y leads away from the street."""
-        point, yaw = self.street.at(
-            s, self.side * (self.street.half_width + np.asarray(beyond_kerb))
-        )
+        offset = self.side * (self.street.half_width + np.asarray(beyond_kerb))
+        point, yaw = self.street.at(s, offset)
         return point, yaw + (0.0 if self.side > 0 else np.pi)
 
 
@@ -102,6 +89,7 @@ class Site:
 
     rng: np.random.Generator
     terrain: Terrain
+    ground_reflectance: Float32  # (T,), of each triangle of the terrain
     roads: RoadNetwork
     ground: Occupancy
     items: list[tuple[str, Mesh]] = field(default_factory=list)
@@ -145,8 +133,7 @@ class Site:
     ) -> bool:
         """Put up something large, ``size`` metres, on the mean height of free ground."""
         steps = np.meshgrid(np.linspace(-0.5, 0.5, 7), np.linspace(-0.5, 0.5, 5))
-        c, s = np.cos(yaw), np.sin(yaw)
-        plan = np.stack(steps, -1).reshape(-1, 2) * size @ np.array([[c, s], [-s, c]]) + at
+        plan = np.stack(steps, -1).reshape(-1, 2) * size @ rotation(yaw) + at
         if self.roads.clearance(plan).min() < clearance:
             return False
         if not self.ground.free(at, size, yaw, margin) or not self.ground.claim(at, size, yaw):
@@ -155,13 +142,16 @@ class Site:
         self.items.append((kind, mesh.moved([*at, z], yaw)))
         return True
 
-    def spots(self) -> Spots:
-        """The places where something may stand that comes and goes."""
-        return Spots(
+    def world(self, name: str, seed: int) -> World:
+        """The finished world."""
+        spots = Spots(
             np.array(self.parking).reshape(-1, 5),
             np.array(self.people).reshape(-1, 2),
             np.array(self.bicycles).reshape(-1, 3),
         )
+        ground = (self.terrain, self.ground_reflectance, self.roads)
+        static = Objects.of(self.items, 1)
+        return World(f"{name}-{seed}", seed, *ground, static, spots, catalogue=self.catalogue)
 
     def ground_line(self, points: Float64) -> Float64:
         """(n, 3) points on the terrain under (n, 2) points."""
@@ -188,18 +178,11 @@ def check_world(seed: int, size_m: float, smallest: float, largest: float) -> No
         raise ConfigError(f"seed must not be negative, not {seed}")
 
 
-def paved_ground(
-    rng: np.random.Generator,
-    roads: RoadNetwork,
-    size_m: float,
-    *,
-    slope: float = 0.025,
-    paved_m: float = 2.5,
-) -> tuple[Terrain, Float32]:
-    """Relief with streets, kerb steps, and lawns from ``paved_m`` beyond the kerb; reflectances."""
-    count = int(np.ceil(size_m / _STEP)) + 1
-    axis = _STEP * np.arange(count)
-    x, y = np.meshgrid(axis, axis)
+def paved_site(
+    rng: np.random.Generator, roads: RoadNetwork, size_m: float, *, slope: float, paved_m: float
+) -> Site:
+    """Relief with streets, kerb steps, and lawns from ``paved_m`` beyond the kerb."""
+    x, y = grid(size_m, _STEP)
     clear = roads.clearance(np.stack([x, y], axis=-1))
     kerb = _KERB * np.clip((clear - 0.1) / 0.3, 0, 1)
     lawn = np.clip((clear - paved_m) / 1.5, 0, 1)
@@ -207,7 +190,8 @@ def paved_ground(
     heights = relief(rng, x, y, slope) + kerb + bumps
     shine = np.where(clear < 0.2, 0.13, np.where(clear < paved_m - 0.5, 0.25, 0.4))
     cells = shine.astype(np.float32)[:-1, :-1].reshape(-1)
-    return Terrain(np.zeros(2), _STEP, heights), np.repeat(cells, 2)
+    terrain = Terrain(np.zeros(2), _STEP, heights)
+    return Site(rng, terrain, np.repeat(cells, 2), roads, Occupancy(size_m))
 
 
 def lay_kerb(site: Site, front: Frontage) -> None:
@@ -251,7 +235,7 @@ def ivy(rng: np.random.Generator, width: float, depth: float, height: float) -> 
         up = rng.uniform(0, 1, count)
         x = foot + wide * rng.normal(0, 0.25, count) * (1 - 0.6 * up)
         out = across / 2 + 0.05 + rng.exponential(0.09, count)
-        spots = np.column_stack([np.clip(x, -long / 2, long / 2), -out, up * high])
+        spots = xyz(np.clip(x, -long / 2, long / 2), -out, up * high)
         parts.append(scraps(rng, spots, 0.12, 0.5).moved([0, 0, 0], turn))
     return join(parts)
 

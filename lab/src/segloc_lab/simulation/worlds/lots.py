@@ -17,18 +17,14 @@ from .layout import Frontage, Site, ivy, thicket, town_tree
 
 @dataclass(frozen=True)
 class Lot:
-    """A stretch of a frontage, from ``begin`` to ``end`` along the street.
-
-    ``house_width`` is 0 where nothing could be built; ``setback`` is the depth of the front garden
-    and ``gap`` the width left beside the house.
-    """
+    """A stretch of a frontage, from ``begin`` to ``end`` along the street."""
 
     front: Frontage
     begin: float
     end: float
-    house_width: float
-    setback: float
-    gap: float
+    house_width: float  # 0 where nothing could be built
+    setback: float  # depth of the front garden
+    gap: float  # width left beside the house
 
 
 def build_along(site: Site, front: Frontage) -> list[Lot]:
@@ -36,9 +32,8 @@ def build_along(site: Site, front: Frontage) -> list[Lot]:
     rng, lots = site.rng, []
     s = float(rng.uniform(3, 9))
     while s < front.street.length - 6:
-        building, setback, gap = _draw_building(
-            site.like(f"house {front.character}"), front.character
-        )
+        source = site.like(f"house {front.character}")
+        building, setback, gap = _draw_building(source, front.character)
         setback *= front.setback
         width = building.width + gap if building else float(rng.uniform(8, 18))
         beyond = front.pavement + setback
@@ -141,9 +136,8 @@ def _front_edge(site: Site, front: Frontage, begin: float, end: float) -> None:
         if border and site.clear_line(behind, 1.5):
             _edge(site, "shrubs", behind)
     if rng.random() < 0.3:
-        at, yaw = front.at(
-            gate + rng.uniform(-1, 1) * opening, front.pavement + rng.uniform(0.1, 0.9)
-        )
+        by_gate = gate + rng.uniform(-1, 1) * opening
+        at, yaw = front.at(by_gate, front.pavement + rng.uniform(0.1, 0.9))
         site.stand("bin", wheelie_bin(site.like("bin")), at, float(yaw + rng.normal(0, 0.5)), 0.6)
 
 
@@ -163,11 +157,8 @@ def _front_garden(site: Site, lot: Lot) -> None:
 
 
 def _divider(site: Site, front: Frontage, s: float, depth: float) -> None:
-    kind = str(
-        site.rng.choice(
-            ["hedge", "shrubs", "wall", "fence", "none"], p=[0.25, 0.15, 0.2, 0.25, 0.15]
-        )
-    )
+    kinds = ["hedge", "shrubs", "wall", "fence", "none"]
+    kind = str(site.rng.choice(kinds, p=[0.25, 0.15, 0.2, 0.25, 0.15]))
     reach = np.linspace(0.6, depth, max(2, int(depth / 1.5)))
     points, _ = front.at(np.full(len(reach), s + 0.1), front.pavement + reach)
     points = site.clear_start(points, 1.0)

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import partial
 
 import numpy as np
 
 from segloc.types import Float64
 
 from ..objects.fixtures import bale, bench, gate, name_sign, picnic_table, post_row, trough
-from ..objects.vegetation import boulder, brushwood, grass, grow, log, shrubs, stump, thicket
-from .land import Ground, Land, lay_out, scattered
+from ..objects.vegetation import boulder, brushwood, grass, grow, log, shrubs, stump
+from .land import Ground, Land, Options, grow_thicket, lay_out, scattered
 from .layout import check_world
 from .roads import street_network
-from .world import World
+from .world import World, remember
 
 _SEEN = 45.0  # from a path: shrubs farther away are left out
 
 
-@lru_cache(maxsize=2)
+@remember
 def meadow(seed: int, *, size_m: float = 340.0) -> World:
     """A meadow of about ``size_m`` metres square; the same for the same seed."""
     check_world(seed, size_m, 100.0, 1000.0)
@@ -45,17 +45,13 @@ def meadow(seed: int, *, size_m: float = 340.0) -> World:
             _single(land, at)
     for at in scattered(rng, size_m, 4.0, 0.6):
         if land.distance(at) < 14.0 and rng.random() < 0.5:
-            land.grow("grass", lambda: grass(rng), at, 0.4)
-    return land.world("meadow", seed, _remake, seed, size_m)
+            land.grow("grass", grass, at, 0.4)
+    return land.world("meadow", seed)
 
 
-def _remake(seed: int, size_m: float) -> World:
-    return meadow(seed, size_m=size_m)
-
-
-def _tree(land: Land, kind: str, at: Float64, scale: float = 1.0) -> None:
-    rng, detail = land.rng, land.detail(at)
-    land.grow("tree", lambda: grow(rng, kind, detail=detail, scale=scale), at, 1.5)
+def _tree(land: Land, species: str, at: Float64, scale: float) -> None:
+    make = partial(grow, kind=species, detail=land.detail(at), scale=scale)
+    land.grow("tree", make, at, 1.5)
 
 
 def _group(land: Land, middle: Float64) -> None:
@@ -75,15 +71,22 @@ def _group(land: Land, middle: Float64) -> None:
 
 
 def _shrub(land: Land, at: Float64) -> None:
-    rng, detail, pick = land.rng, land.detail(at), land.rng.random()
+    rng, bush, pick = land.rng, partial(grow, detail=land.detail(at)), land.rng.random()
     if pick < 0.45:
         scale = float(rng.uniform(0.5, 1.1))
-        land.grow("bush", lambda: grow(rng, "hawthorn", detail=detail, scale=scale), at, 1.4)
+        land.grow("bush", partial(bush, kind="hawthorn", scale=scale), at, 1.4)
     elif pick < 0.6:
-        land.grow("bush", lambda: grow(rng, "hazel", detail=detail, scale=0.8), at, 1.4)
+        land.grow("bush", partial(bush, kind="hazel", scale=0.8), at, 1.4)
     else:
-        radius, high = rng.uniform([0.5, 0.6], [2.4, 2.3])
-        land.grow("thicket", lambda: thicket(rng, radius, high, detail), at, 1.2 * radius)
+        grow_thicket(land, at, [0.5, 0.6], [2.4, 2.3])
+
+
+_SMALL: Options = (
+    (0.64, "sapling", partial(grow, kind="sapling"), 0.6),
+    (0.76, "boulder", boulder, 1.2),
+    (0.80, "stump", stump, 1.0),
+    (0.87, "brushwood", brushwood, 1.5),
+)
 
 
 def _single(land: Land, at: Float64) -> None:
@@ -93,22 +96,16 @@ def _single(land: Land, at: Float64) -> None:
     elif pick < 0.54:
         kind = rng.choice(["oak", "ash", "willow", "birch", "pine", "lime"])
         _tree(land, str(kind), at, float(rng.uniform(0.5, 1.0)))
-    elif pick < 0.64:
-        land.grow("sapling", lambda: grow(rng, "sapling"), at, 0.6)
-    elif pick < 0.69:
+    elif 0.64 <= pick < 0.69:
         _tree(land, "snag", at, 0.7)
-    elif pick < 0.76:
-        land.grow("boulder", lambda: boulder(rng), at, 1.2)
-    elif pick < 0.80:
-        land.grow("stump", lambda: stump(rng), at, 1.0)
-    elif pick < 0.84:
+    elif 0.80 <= pick < 0.84:
         turn = rng.uniform(0, 2 * np.pi)
         way = np.array([np.cos(turn), np.sin(turn)]) * rng.uniform(2, 7)
         points = land.line(at + np.linspace(0, 1, 8)[:, None] * way)
         if len(points) > 3:
-            land.items.append(("log", land.pruned(log(rng, land.ground_line(points)))))
-    elif pick < 0.87:
-        land.grow("brushwood", lambda: brushwood(rng), at, 1.5)
+            land.put("log", log(rng, land.ground_line(points)))
+    else:
+        land.grow_one(_SMALL, pick, at)
 
 
 def _hedgerows(land: Land) -> None:
@@ -124,17 +121,27 @@ def _hedgerows(land: Land) -> None:
             continue
         pick = rng.random()
         if pick < 0.35:
-            land.items.append(("fence", land.pruned(post_row(rng, land.ground_line(points[::2])))))
+            land.put("fence", post_row(rng, land.ground_line(points[::2])))
         elif pick < 0.55:
             for piece in np.array_split(points, max(1, len(points) // 12)):
-                row = shrubs(rng, land.ground_line(piece[:-1] if len(piece) > 4 else piece))
-                land.items.append(("shrubs", land.pruned(row)))
+                row = land.ground_line(piece[:-1] if len(piece) > 4 else piece)
+                land.put("shrubs", shrubs(rng, row))
         else:
             for at in points[rng.random(len(points)) < 0.7] + rng.normal(0, 0.3, 2):
                 if rng.random() < 0.88:
                     _shrub(land, at)
                 else:
                     _tree(land, str(rng.choice(["oak", "ash"])), at, 0.8)
+
+
+_BY_PATHS: Options = (
+    (0.2, "bench", bench, 1.6),
+    (0.3, "name sign", name_sign, 1.0),
+    (0.4, "gate", gate, 2.0),
+    (0.48, "bale", bale, 2.0),
+    (0.55, "trough", trough, 1.6),
+    (0.61, "picnic table", picnic_table, 2.2),
+)
 
 
 def _by_the_paths(land: Land) -> None:
@@ -145,17 +152,6 @@ def _by_the_paths(land: Land) -> None:
             side, pick = float(rng.choice([-1, 1])), rng.random()
             at, yaw = street.at(s, side * (street.half_width + rng.uniform(2.0, 6.0)))
             facing = float(yaw) - side * np.pi / 2 + float(rng.normal(0, 0.15))
-            if pick < 0.2:
-                land.grow("bench", lambda: bench(rng), at, 1.6, yaw=facing)
-            elif pick < 0.3:
-                land.grow("name sign", lambda: name_sign(rng), at, 1.0, yaw=facing)
-            elif pick < 0.4:
-                land.grow("gate", lambda: gate(rng), at, 2.0, yaw=facing)
-            elif pick < 0.48:
-                land.grow("bale", lambda: bale(rng), at, 2.0, yaw=facing)
-            elif pick < 0.55:
-                land.grow("trough", lambda: trough(rng), at, 1.6, yaw=facing)
-            elif pick < 0.61:
-                land.grow("picnic table", lambda: picnic_table(rng), at, 2.2, yaw=facing)
+            land.grow_one(_BY_PATHS, pick, at, facing)
         walkers = rng.uniform(5, max(6.0, street.length - 5), int(street.length / 25))
         land.walkers(street.at(walkers, street.half_width + 1.4)[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,11 @@ from segloc.types import Float32, Float64
 
 from ..objects.fixtures import cabinet
 from ..objects.mesh import Mesh, Objects, above, boxes, join, quads, tubes
-from ..objects.scene import Terrain, relief, roughness
+from ..objects.scene import Terrain, grid, relief, roughness
 from ..objects.works import stores
 from .layout import check_world
 from .roads import RoadNetwork, Street, street_network
-from .world import Spots, World
+from .world import Spots, World, remember
 
 _STEP = 0.3  # of the lattice that walls are made on, metres
 _GROUND = 0.5  # of the terrain's grid, metres
@@ -30,24 +29,13 @@ _ROCK = 0.35
 
 @dataclass(frozen=True)
 class Gallery:
-    """A stretch of void about a line.
+    """A stretch of void about a line; metres."""
 
-    Attributes
-    ----------
-    line : (n, 2) float64
-    half_width, high : float
-        Metres.
-    rough : float
-        Standard deviation of its walls, metres.
-    fitted : str
-        "bare", "pipes" or "arches".
-    """
-
-    line: Float64
+    line: Float64  # (n, 2)
     half_width: float
     high: float
-    rough: float
-    fitted: str = "bare"
+    rough: float  # standard deviation of its walls
+    fitted: str = "bare"  # or "pipes", "arches"
 
     def off(self, junctions: Float64) -> Gallery:
         """The same without what lies by a junction, where other galleries lead across."""
@@ -55,7 +43,7 @@ class Gallery:
         return replace(self, line=self.line[away > 2 * self.half_width + 1.5])
 
 
-@lru_cache(maxsize=2)
+@remember
 def mine(seed: int, *, size_m: float = 120.0) -> World:
     """Galleries under a square of about ``size_m`` metres; the same for the same seed."""
     check_world(seed, size_m, 60.0, 240.0)
@@ -71,7 +59,9 @@ def mine(seed: int, *, size_m: float = 120.0) -> World:
         missing=0.25,
     )
     roads = RoadNetwork(roads.nodes, roads.streets, 1.5)
-    terrain = _floor(rng, size_m)
+    x, y = grid(size_m, _GROUND)
+    heights = relief(rng, x, y, 0.035) + 0.02 * roughness(rng, x.shape)
+    terrain = Terrain(np.zeros(2), _GROUND, heights)
     galleries = [part for street in roads.streets for part in _stretches(rng, street)]
     drawn = [pocket for street in roads.streets for pocket in _pockets(rng, street)]
     pockets = [p for p in drawn if p.line.min() > 3.0 and p.line.max() < size_m - 3.0]
@@ -80,27 +70,12 @@ def mine(seed: int, *, size_m: float = 120.0) -> World:
         items += _fittings(rng, gallery.off(roads.nodes), terrain)
     for pocket in pockets:
         items += _left_behind(rng, pocket, terrain)
-    return World(
-        f"mine-{seed}",
-        seed,
-        terrain,
-        np.full(2 * (len(terrain.heights) - 1) ** 2, 0.3, dtype=np.float32),
-        roads,
-        Objects.of([item for item in items if len(item[1])], 1),
-        replace(Spots.none(), people=_walkers(roads)),
-        (_remake, (seed, size_m)),
-    )
-
-
-def _remake(seed: int, size_m: float) -> World:
-    return mine(seed, size_m=size_m)
-
-
-def _floor(rng: np.random.Generator, size_m: float) -> Terrain:
-    axis = _GROUND * np.arange(int(np.ceil(size_m / _GROUND)) + 1)
-    x, y = np.meshgrid(axis, axis)
-    heights = relief(rng, x, y, 0.035) + 0.02 * roughness(rng, x.shape)
-    return Terrain(np.zeros(2), _GROUND, heights)
+    static = Objects.of([item for item in items if len(item[1])], 1)
+    shine = np.full(2 * (len(heights) - 1) ** 2, 0.3, dtype=np.float32)
+    # People keep to the walls.
+    people = [s.at(np.arange(5.0, s.length, 17.0), s.half_width)[0] for s in roads.streets]
+    spots = Spots(people=np.concatenate(people))
+    return World(f"mine-{seed}", seed, terrain, shine, roads, static, spots)
 
 
 def _stretches(rng: np.random.Generator, street: Street) -> list[Gallery]:
@@ -211,12 +186,6 @@ def _left_behind(
     if pick < 0.5:
         return [("stores", stores(rng).moved(foot, yaw))]
     return [("switchgear", cabinet(rng).moved(foot, yaw))] if pick < 0.7 else []
-
-
-def _walkers(roads: RoadNetwork) -> Float64:
-    """People keep to the walls."""
-    points = [s.at(np.arange(5.0, s.length, 17.0), s.half_width)[0] for s in roads.streets]
-    return np.concatenate(points)
 
 
 def skin(field: Float32, origin: Float64, step: float) -> Mesh:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,35 +30,25 @@ from ..objects.mesh import Mesh, boxes, join, tubes
 from .fitting import Fitting
 from .layout import check_world
 from .roads import RoadNetwork, straight
-from .world import World
+from .world import World, remember
 
 _STAIRS_M = 3.4  # length of a stairwell along the building
 
 
 @dataclass(frozen=True)
 class Room:
-    """A room of a plan.
+    """A room of a plan; metres.
 
-    Attributes
-    ----------
-    low, high : (float, float)
-        Opposite corners, metres.
-    front : float
-        y of the wall to the corridor: ``low[1]`` or ``high[1]``.
-    kind : str
-        "office", "meeting", "open" (plan), "store", or "niche", which is open to the corridor.
-    door : float
-        x of the middle of its door.
-    glazed : bool
-        Whether its front is of glass.
+    Its kind is "office", "meeting", "open" (plan), "store", or "niche", which is open to the
+    corridor.
     """
 
-    low: tuple[float, float]
+    low: tuple[float, float]  # opposite corners
     high: tuple[float, float]
-    front: float
+    front: float  # y of the wall to the corridor: low[1] or high[1]
     kind: str
-    door: float
-    glazed: bool
+    door: float  # x of the middle of its door
+    glazed: bool  # whether its front is of glass
 
     @property
     def into(self) -> float:
@@ -73,43 +63,28 @@ class Room:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """The plan of a storey; what is not of its rooms, all storeys of a building have in common.
-
-    Attributes
-    ----------
-    size : (float, float)
-    corridor : float
-        Width of the corridors.
-    outer : float
-        Depth of the rooms that have windows.
-    crossings : tuple of float
-        x of the middles of the corridors across.
-    rise : float
-        From floor to floor.
-    ceiling : float
-        Height of the ceilings.
-    windows : float
-        Width of a window and the wall beside it.
-    """
+    """The plan of a storey; storeys of a building differ in rooms alone; metres."""
 
     size: tuple[float, float]
     rooms: tuple[Room, ...]
-    corridor: float
-    outer: float
-    crossings: tuple[float, ...]
-    rise: float
-    ceiling: float
-    windows: float
-    core: tuple[float, float] = field(init=False)
-    stairs: Float64 = field(init=False, compare=False)
+    corridor: float  # width of the corridors
+    outer: float  # depth of the rooms that have windows
+    crossings: tuple[float, ...]  # x of the middles of the corridors across
+    rise: float  # from floor to floor
+    ceiling: float  # height of the ceilings
+    windows: float  # width of a window and the wall beside it
 
-    def __post_init__(self) -> None:
+    @property
+    def core(self) -> tuple[float, float]:
+        """y of the walls between which the rooms without windows lie."""
         low = self.outer + self.corridor
-        core = (low, self.size[1] - low)
-        object.__setattr__(self, "core", core)
-        ends = (0.0, self.size[0] - _STAIRS_M)
-        wells = np.array([(x, core[0], x + _STAIRS_M, core[1]) for x in ends])
-        object.__setattr__(self, "stairs", wells)
+        return low, self.size[1] - low
+
+    @property
+    def stairs(self) -> Float64:
+        """The stairwells at both ends, (2, 4): x0, y0, x1, y1."""
+        ends, (low, high) = (0.0, self.size[0] - _STAIRS_M), self.core
+        return np.array([(x, low, x + _STAIRS_M, high) for x in ends])
 
     def in_corridor(self, x: float) -> bool:
         """Whether a long corridor runs there, and none leads across."""
@@ -137,24 +112,10 @@ def draw_plan(rng: np.random.Generator, size_m: float) -> FloorPlan:
     count = max(2, round((last - first) / rng.uniform(14, 26)) + 1)
     crossings = np.linspace(first, last, count)
     crossings[1:-1] += rng.uniform(-2.0, 2.0, count - 2)
-    rooms = _rooms(rng, (size_m, wide), corridor, outer, crossings)
-    ceiling = float(rng.uniform(2.6, 3.3))
-    return FloorPlan(
-        (size_m, wide),
-        rooms,
-        corridor,
-        outer,
-        tuple(crossings.tolist()),
-        ceiling + 0.4,
-        ceiling,
-        float(rng.uniform(1.4, 2.4)),
-    )
-
-
-def divided_anew(plan: FloorPlan, rng: np.random.Generator) -> FloorPlan:
-    """The same shell, corridors and stairs, with other rooms."""
-    crossings = np.array(plan.crossings)
-    return replace(plan, rooms=_rooms(rng, plan.size, plan.corridor, plan.outer, crossings))
+    ways = (corridor, outer, tuple(crossings.tolist()))
+    rooms = _rooms(rng, (size_m, wide), *ways)
+    ceiling, windows = (float(v) for v in rng.uniform([2.6, 1.4], [3.3, 2.4]))
+    return FloorPlan((size_m, wide), rooms, *ways, ceiling + 0.4, ceiling, windows)
 
 
 def _rooms(
@@ -162,19 +123,19 @@ def _rooms(
     size: tuple[float, float],
     corridor: float,
     outer: float,
-    crossings: Float64,
+    crossings: tuple[float, ...],
 ) -> tuple[Room, ...]:
     """Two rows of rooms with windows, and two between the corridors."""
-    long, wide = size
+    (long, wide), half = size, corridor / 2
     glazed = float(rng.choice([0.1, 0.3, 0.7]))
     rooms: list[Room] = []
     for low, high, front in ((0.0, outer, outer), (wide - outer, wide, wide - outer)):
         rooms += _row(rng, (0.0, long), (low, high), front, glazed)
     bottom, top = outer + corridor, wide - outer - corridor
     middle = wide / 2 + float(rng.uniform(-0.1, 0.1)) * (top - bottom)
-    for a, b in zip(crossings[:-1] + corridor / 2, crossings[1:] - corridor / 2, strict=True):
-        rooms += _row(rng, (a, b), (bottom, middle), bottom, glazed)
-        rooms += _row(rng, (a, b), (middle, top), top, glazed)
+    for a, b in pairwise(crossings):
+        rooms += _row(rng, (a + half, b - half), (bottom, middle), bottom, glazed)
+        rooms += _row(rng, (a + half, b - half), (middle, top), top, glazed)
     return tuple(rooms)
 
 
@@ -365,13 +326,11 @@ _NONE = np.zeros((0, 4))
 _ORIGIN = np.zeros(2)
 
 
-@lru_cache(maxsize=2)
 def offices(seed: int, *, size_m: float = 60.0) -> World:
     """One storey of offices, ``size_m`` metres long; the same for the same seed."""
     return _erect("offices", seed, size_m, 1, 0.0, False)
 
 
-@lru_cache(maxsize=2)
 def building(
     seed: int,
     *,
@@ -401,6 +360,7 @@ def building(
     return _erect("building", seed, size_m, storeys, differ, own_rooms)
 
 
+@remember
 def _erect(
     name: str, seed: int, size_m: float, storeys: int, differ: float, own_rooms: bool
 ) -> World:
@@ -413,7 +373,8 @@ def _erect(
     for k, z in enumerate(heights):
         if own_rooms and k:
             own = np.random.default_rng([seed, 86_028_121, k])
-            plan = divided_anew(plan, own)
+            rooms = _rooms(own, plan.size, plan.corridor, plan.outer, plan.crossings)
+            plan = replace(plan, rooms=rooms)
             built, found = _structure(own, plan), places(own, plan)
         for kind, mesh in built:
             site.put(kind, mesh, _ORIGIN, 0.0, z)
@@ -422,27 +383,15 @@ def _erect(
         furnish(site, found, seed, k, z, differ)
     _stairs(site, plan, storeys)
     site.people = [np.array(street.at(s)[0]) for street in site.roads.streets for s in (3.0, 7.0)]
-    arguments = (name, seed, size_m, storeys, differ, own_rooms)
-    return site.world(name, seed, (_remake, arguments), storeys=heights)
-
-
-def _remake(
-    name: str, seed: int, size_m: float, storeys: int, differ: float, own_rooms: bool
-) -> World:
-    if name == "offices":
-        return offices(seed, size_m=size_m)
-    return building(seed, size_m=size_m, storeys=storeys, differ=differ, own_rooms=own_rooms)
+    return site.world(name, seed, storeys=heights)
 
 
 def _structure(rng: np.random.Generator, plan: FloorPlan) -> list[tuple[str, Mesh]]:
     """Walls, windows and what hangs under the ceilings: of every storey."""
-    items = [("wall", _front(room, plan)) for room in plan.rooms if room.kind != "niche"]
-    items += [("wall", _sides(room, plan)) for room in plan.rooms]
-    items += [("wall", mesh) for mesh in _facades(plan)]
-    items += [("wall", mesh) for mesh in _ends(plan)]
-    items.append(("lamps", _lamps(plan)))
-    items.append(("duct", _ducts(rng, plan)))
-    return items
+    walls = [_front(room, plan) for room in plan.rooms if room.kind != "niche"]
+    walls += [_sides(room, plan) for room in plan.rooms]
+    items = [("wall", mesh) for mesh in (*walls, *_facades(plan), *_ends(plan))]
+    return [*items, ("lamps", _lamps(plan)), ("duct", _ducts(rng, plan))]
 
 
 def _front(room: Room, plan: FloorPlan) -> Mesh:
@@ -482,8 +431,7 @@ def _facades(plan: FloorPlan) -> list[Mesh]:
     parts = []
     for y in (0.0, wide):
         parts.append(wall([0, y], [long, y], (-0.3, plan.rise), holes, thick=_OUTER))
-        sheets = [panes([a, y], [b, y], (low, high)) for a, b, low, high in holes]
-        parts.append(join(sheets))
+        parts.append(join(panes([a, y], [b, y], (low, high)) for a, b, low, high in holes))
     parts += [wall([x, 0], [x, wide], (-0.3, plan.rise), thick=_OUTER) for x in (0.0, long)]
     return parts
 

@@ -2,46 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
 from segloc.types import Float64
 
-from ..objects.fixtures import (
-    bandstand,
-    bench,
-    bollards,
-    cabinet,
-    climbing_frame,
-    fence,
-    flower_bed,
-    fountain,
-    lamp,
-    litter_bin,
-    name_sign,
-    picnic_table,
-    slide,
-    statue,
-    swings,
-    traffic_sign,
-)
-from ..objects.mesh import Mesh
-from ..objects.vegetation import grow, hedge, shrubs, stump, trimmed_box_bush
-from .land import Ground, Land, lay_out, scattered
+from ..objects import fixtures, vegetation
+from .land import Ground, Land, Maker, Options, lay_out, scattered
 from .layout import Frontage, check_world
 from .lots import build_along, dress
 from .roads import RoadNetwork, Street, street_network
-from .world import World
+from .world import World, remember
 
 _MARGIN = 36.0
 _TREES = ("lime", "oak", "beech", "ash", "willow", "birch", "pine", "yew")
 _TREE_SHARES = np.array([0.26, 0.17, 0.14, 0.14, 0.06, 0.1, 0.05, 0.08])
 
 
-@lru_cache(maxsize=2)
+@remember
 def park(seed: int, *, size_m: float = 240.0) -> World:
     """A park of about ``size_m`` metres square with the houses about it; a function of the seed."""
     check_world(seed, size_m, 150.0, 600.0)
@@ -65,11 +46,7 @@ def park(seed: int, *, size_m: float = 240.0) -> World:
             _path(land, street)
     _features(land)
     _lawns(land)
-    return land.world("park", seed, _remake, seed, size_m)
-
-
-def _remake(seed: int, size_m: float) -> World:
-    return park(seed, size_m=size_m)
+    return land.world("park", seed)
 
 
 def _network(rng: np.random.Generator, size_m: float) -> RoadNetwork:
@@ -109,16 +86,35 @@ def _outward(street: Street, size_m: float) -> int:
     return 1 if away else -1
 
 
+_Kinds: TypeAlias = tuple[tuple[str, Maker], ...]
+_ON_PAVEMENTS: _Kinds = (
+    ("traffic sign", fixtures.traffic_sign),
+    ("cabinet", fixtures.cabinet),
+    ("bollards", fixtures.bollards),
+    ("litter bin", fixtures.litter_bin),
+)
+_ORNAMENTS: _Kinds = (
+    ("statue", fixtures.statue),
+    ("statue", fixtures.statue),
+    ("fountain", fixtures.fountain),
+)
+_PLAYGROUND: _Kinds = (
+    ("swings", fixtures.swings),
+    ("slide", fixtures.slide),
+    ("climbing frame", fixtures.climbing_frame),
+    ("picnic table", fixtures.picnic_table),
+)
+
+
 def _street(land: Land, front: Frontage) -> None:
     """The pavement before the houses, and cars on both sides of the street."""
     rng, street = land.rng, front.street
     for s in np.arange(rng.uniform(6, 20), street.length - 6, rng.uniform(22, 34)):
         at, yaw = front.at(s, 0.6)
-        land.stand("lamp", lamp(rng), at, float(yaw) - np.pi / 2, 0.4)
+        land.stand("lamp", fixtures.lamp(rng), at, float(yaw) - np.pi / 2, 0.4)
     for s in rng.uniform(6, street.length - 6, int(street.length / 14)):
         at, yaw = front.at(s, rng.uniform(0.4, 0.8))
-        kind, make = _pick(rng, (("traffic sign", traffic_sign), ("cabinet", cabinet),
-                                 ("bollards", bollards), ("litter bin", litter_bin)))  # fmt: skip
+        kind, make = _pick(rng, _ON_PAVEMENTS)
         land.stand(kind, make(rng), at, float(yaw) - np.pi / 2, 0.6)
     busy = rng.uniform(0.5, 0.95)
     for side in (front.side, -front.side):
@@ -134,10 +130,7 @@ def _street(land: Land, front: Frontage) -> None:
     land.walkers(front.at(walkers, rng.uniform(0.9, front.pavement, len(walkers)))[0])
 
 
-def _pick(
-    rng: np.random.Generator,
-    options: tuple[tuple[str, Callable[[np.random.Generator], Mesh]], ...],
-) -> tuple[str, Callable[[np.random.Generator], Mesh]]:
+def _pick(rng: np.random.Generator, options: _Kinds) -> tuple[str, Maker]:
     return options[int(rng.integers(len(options)))]
 
 
@@ -150,17 +143,15 @@ def _border(land: Land, front: Frontage) -> None:
     if len(edge) > 3:
         line = land.ground_line(edge)
         if pick < 0.5:
-            land.items.append(("railing", land.pruned(fence(rng, line))))
+            land.put("railing", fixtures.fence(rng, line))
         elif pick < 0.75:
-            size = rng.uniform([0.8, 0.5], [1.9, 1.0])
-            land.items.append(("hedge", land.pruned(hedge(rng, line, *size))))
+            land.put("hedge", vegetation.hedge(rng, line, *rng.uniform([0.8, 0.5], [1.9, 1.0])))
         for point in edge:
             land.ground.claim(point, (0.8, 0.8), 0.0)
     behind = land.line(front.at(s, front.pavement + rng.uniform(2.0, 3.5))[0])
     for piece in np.array_split(behind, max(1, len(behind) // 7)):
         if len(piece) > 2 and rng.random() < 0.5:
-            row = shrubs(rng, land.ground_line(piece))
-            land.items.append(("shrubs", land.pruned(row)))
+            land.put("shrubs", vegetation.shrubs(rng, land.ground_line(piece)))
             for point in piece:
                 land.ground.claim(point, (1.2, 1.2), 0.0)
     for at in front.at(s[::6] + rng.normal(0, 1.0, len(s[::6])), front.pavement + 5.0)[0]:
@@ -169,9 +160,16 @@ def _border(land: Land, front: Frontage) -> None:
 
 
 def _tree(land: Land, at: Float64, kind: str | None = None, scale: float = 1.0) -> None:
-    rng = land.rng
-    species = kind or str(rng.choice(_TREES, p=_TREE_SHARES / _TREE_SHARES.sum()))
-    land.grow("tree", lambda: grow(rng, species, scale=scale), at, 1.6)
+    species = kind or str(land.rng.choice(_TREES, p=_TREE_SHARES / _TREE_SHARES.sum()))
+    land.grow("tree", partial(vegetation.grow, kind=species, scale=scale), at, 1.6)
+
+
+_BY_PATHS: Options = (
+    (0.4, "bench", fixtures.bench, 1.5),
+    (0.6, "litter bin", fixtures.litter_bin, 0.6),
+    (0.68, "name sign", fixtures.name_sign, 0.8),
+    (0.8, "bush", vegetation.trimmed_box_bush, 0.9),
+)
 
 
 def _path(land: Land, street: Street) -> None:
@@ -180,26 +178,19 @@ def _path(land: Land, street: Street) -> None:
     beyond = street.half_width
     for s in np.arange(rng.uniform(5, 15), length - 5, rng.uniform(20, 35)):
         at, yaw = street.at(s, beyond + 1.3)
-        land.grow("lamp", lambda: lamp(rng), at, 0.5, yaw=float(yaw) - np.pi / 2)
+        land.grow("lamp", fixtures.lamp, at, 0.5, yaw=float(yaw) - np.pi / 2)
     for s in rng.uniform(6, max(7.0, length - 6), int(length / 9)):
         side = float(rng.choice([-1, 1]))
         at, yaw = street.at(s, side * (beyond + rng.uniform(1.7, 2.2)))
         facing, pick = float(yaw) - side * np.pi / 2, rng.random()
-        if pick < 0.4:
-            land.grow("bench", lambda: bench(rng), at, 1.5, yaw=facing)
-        elif pick < 0.6:
-            land.grow("litter bin", lambda: litter_bin(rng), at, 0.6, yaw=facing)
-        elif pick < 0.68:
-            land.grow("name sign", lambda: name_sign(rng), at, 0.8, yaw=facing)
-        elif pick < 0.8:
-            land.grow("bush", lambda: trimmed_box_bush(rng), at, 0.9, yaw=facing)
-        else:
-            long, wide = rng.uniform([2.0, 1.0], [6.0, 2.0])
-            at, _ = street.at(s, side * (beyond + 1.2 + wide / 2))
-            if land.ground.claim(at, (long, wide), float(yaw)):
-                bed = flower_bed(rng, long, wide)
-                z = float(land.terrain.height(*at))
-                land.items.append(("flower bed", land.pruned(bed.moved([*at, z], float(yaw)))))
+        if pick < 0.8:
+            land.grow_one(_BY_PATHS, pick, at, facing)
+            continue
+        long, wide = rng.uniform([2.0, 1.0], [6.0, 2.0])
+        at, _ = street.at(s, side * (beyond + 1.2 + wide / 2))
+        if land.ground.claim(at, (long, wide), float(yaw)):
+            bed, z = fixtures.flower_bed(rng, long, wide), float(land.terrain.height(*at))
+            land.put("flower bed", bed.moved([*at, z], float(yaw)))
     for side in (-1, 1):
         pick = rng.random()
         if pick < 0.2:
@@ -220,12 +211,11 @@ def _edging(land: Land, street: Street, side: int) -> None:
         return
     line, pick = land.ground_line(points), rng.random()
     if pick < 0.4:
-        land.items.append(("railing", land.pruned(fence(rng, line))))
+        land.put("railing", fixtures.fence(rng, line))
     elif pick < 0.7:
-        size = rng.uniform([0.6, 0.4], [1.4, 0.8])
-        land.items.append(("hedge", land.pruned(hedge(rng, line, *size))))
+        land.put("hedge", vegetation.hedge(rng, line, *rng.uniform([0.6, 0.4], [1.4, 0.8])))
     else:
-        land.items.append(("shrubs", land.pruned(shrubs(rng, line))))
+        land.put("shrubs", vegetation.shrubs(rng, line))
     for point in points:
         land.ground.claim(point, (0.8, 0.8), 0.0)
 
@@ -235,18 +225,23 @@ def _features(land: Land) -> None:
     rng, size_m = land.rng, land.ground.size_m
     inside = _MARGIN + 10.0
     for at in rng.uniform(inside, size_m - inside, (int(rng.integers(8, 16)), 2)):
-        kind, make = _pick(rng, (("statue", statue), ("statue", statue), ("fountain", fountain)))
-        land.grow(kind, partial(make, rng), at, 3.4, yaw=rng.uniform(0, 6))
+        kind, make = _pick(rng, _ORNAMENTS)
+        land.grow(kind, make, at, 3.4, yaw=rng.uniform(0, 6))
     for at in rng.uniform(inside, size_m - inside, (12, 2)):
-        if land.grow("bandstand", lambda: bandstand(rng), at, 7.0, yaw=rng.uniform(0, 6)):
+        if land.grow("bandstand", fixtures.bandstand, at, 7.0, yaw=rng.uniform(0, 6)):
             break
-    play = (("swings", swings), ("slide", slide), ("climbing frame", climbing_frame),
-            ("picnic table", picnic_table))  # fmt: skip
     for middle in rng.uniform(inside, size_m - inside, (2, 2)):
         for _ in range(int(rng.integers(4, 9))):
-            kind, make = _pick(rng, play)
+            kind, make = _pick(rng, _PLAYGROUND)
             at = middle + rng.normal(0, 6.0, 2)
-            land.grow(kind, partial(make, rng), at, 3.6, yaw=rng.uniform(0, 6))
+            land.grow(kind, make, at, 3.6, yaw=rng.uniform(0, 6))
+
+
+_ON_LAWNS: Options = (
+    (0.73, "bush", partial(vegetation.grow, kind="hazel", scale=0.7), 1.2),
+    (0.77, "sapling", partial(vegetation.grow, kind="sapling"), 0.6),
+    (0.79, "stump", vegetation.stump, 1.0),
+)
 
 
 def _lawns(land: Land) -> None:
@@ -263,9 +258,5 @@ def _lawns(land: Land) -> None:
             _tree(land, at, scale=float(rng.uniform(0.7, 1.1)))
         elif pick < 0.63:
             _tree(land, at, "hawthorn")
-        elif pick < 0.73:
-            land.grow("bush", lambda: grow(rng, "hazel", scale=0.7), at, 1.2)
-        elif pick < 0.77:
-            land.grow("sapling", lambda: grow(rng, "sapling"), at, 0.6)
-        elif pick < 0.79:
-            land.grow("stump", lambda: stump(rng), at, 1.0)
+        else:
+            land.grow_one(_ON_LAWNS, pick, at)

@@ -16,21 +16,11 @@ from segloc.types import Float64, Int64
 
 @dataclass(frozen=True)
 class Street:
-    """One street between two junctions.
+    """One street between two junctions."""
 
-    Attributes
-    ----------
-    nodes : (int, int)
-        The junctions at its ends.
-    line : (n, 2) float64
-        Centre line from the first to the second, a point every half metre or so.
-    half_width : float
-        From the centre line to the kerb, metres.
-    """
-
-    nodes: tuple[int, int]
-    line: Float64
-    half_width: float
+    nodes: tuple[int, int]  # the junctions at its ends
+    line: Float64  # (n, 2), from the first to the second, a point every half metre or so
+    half_width: float  # from the centre line to the kerb, metres
 
     @property
     def length(self) -> float:
@@ -47,28 +37,19 @@ def along(line: Float64, distance: Float64, offset: ArrayLike = 0.0) -> tuple[Fl
     arc = arc_length(line)
     tangent = np.gradient(line, arc, axis=0)
     x, y = (np.interp(distance, arc, line[:, k]) for k in (0, 1))
-    yaw = np.arctan2(
-        np.interp(distance, arc, tangent[:, 1]), np.interp(distance, arc, tangent[:, 0])
-    )
+    ahead, left = (np.interp(distance, arc, tangent[:, k]) for k in (0, 1))
+    yaw = np.arctan2(left, ahead)
     point = np.stack([x - np.sin(yaw) * offset, y + np.cos(yaw) * offset], axis=-1)
     return point, yaw
 
 
 @dataclass(frozen=True)
 class RoadNetwork:
-    """Junctions and the streets between them.
+    """Junctions and the streets between them."""
 
-    Attributes
-    ----------
-    nodes : (n, 2) float64
-        Junctions, metres.
-    rounding_m : float
-        Over which corners are rounded when they are driven.
-    """
-
-    nodes: Float64
+    nodes: Float64  # (n, 2), metres
     streets: tuple[Street, ...]
-    rounding_m: float = 2.5
+    rounding_m: float = 2.5  # over which corners are rounded when they are driven
     _tree: tuple[cKDTree, Float64] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -168,15 +149,12 @@ def street_network(
     nodes = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     step = axis[1] - axis[0]
     nodes = nodes + rng.uniform(-shift, shift, nodes.shape) * step
-    pairs = _lattice_pairs(count)
-    kept = _drop_some(rng, pairs, len(nodes), share=missing)
-    streets = tuple(
-        Street(
-            (int(a), int(b)), _curve(rng, nodes[a], nodes[b], bend), float(rng.uniform(*half_width))
-        )
-        for a, b in kept
-    )
-    return RoadNetwork(nodes, streets)
+    kept = _drop_some(rng, _lattice_pairs(count), len(nodes), share=missing)
+    streets = []
+    for a, b in kept.tolist():
+        line = _curve(rng, nodes[a], nodes[b], bend)
+        streets.append(Street((a, b), line, float(rng.uniform(*half_width))))
+    return RoadNetwork(nodes, tuple(streets))
 
 
 def straight(nodes: Float64, a: int, b: int, half_width: float) -> Street:
@@ -200,12 +178,9 @@ def _drop_some(rng: np.random.Generator, pairs: Int64, nodes: int, share: float)
         if wanted == 0:
             break
         keep[k] = False
-        if np.bincount(pairs[keep].ravel(), minlength=nodes).min() < 2 or not _connected(
-            pairs[keep], nodes
-        ):
-            keep[k] = True
-        else:
-            wanted -= 1
+        fewest = np.bincount(pairs[keep].ravel(), minlength=nodes).min()
+        keep[k] = fewest < 2 or not _connected(pairs[keep], nodes)
+        wanted -= int(not keep[k])
     return pairs[keep]
 
 
@@ -225,9 +200,8 @@ def _curve(rng: np.random.Generator, start: Float64, end: Float64, bend: float) 
     chord = end - start
     normal = np.array([-chord[1], chord[0]])
     a, b = rng.uniform(-bend, bend, 2)
-    control = np.stack(
-        [start, start + chord / 3 + a * normal, start + 2 * chord / 3 + b * normal, end]
-    )
+    first, second = start + chord / 3 + a * normal, start + 2 * chord / 3 + b * normal
+    control = np.stack([start, first, second, end])
     t = np.linspace(0, 1, max(3, int(np.linalg.norm(chord) / 0.5)))[:, None]
     basis = np.concatenate([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1)
     line: Float64 = basis @ control

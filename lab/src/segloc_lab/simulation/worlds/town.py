@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from ..objects.buildings import shed
 from ..objects.fixtures import FURNITURE, lamp, traffic_light, traffic_sign, utility_pole
-from ..objects.mesh import Objects
 from ..objects.vegetation import bush
-from .layout import Frontage, Occupancy, Site, check_world, lay_kerb, paved_ground, town_tree
+from .layout import Frontage, Site, check_world, lay_kerb, paved_site, town_tree
 from .lots import build_along, dress
 from .roads import Street, street_network
-from .world import Catalogue, World
+from .world import Catalogue, World, remember
 
 _MARGIN = 38.0
 _BLOCK = 68.0
@@ -42,7 +40,7 @@ def terraces(seed: int, *, size_m: float = 330.0, repetition: float = 0.9) -> Wo
     return _town(seed, size_m, repetition, True)
 
 
-@lru_cache(maxsize=2)
+@remember
 def _town(seed: int, size_m: float, repetition: float, terraced: bool) -> World:
     check_world(seed, size_m, 130.0, 2000.0)
     catalogue = Catalogue(seed, repetition)
@@ -53,9 +51,9 @@ def _town(seed: int, size_m: float, repetition: float, terraced: bool) -> World:
     roads = street_network(
         rng, size_m, margin_m=_MARGIN, block_m=_BLOCK, half_width=character.half_width
     )
-    terrain, reflectance = paved_ground(rng, roads, size_m, slope=float(rng.uniform(0.015, 0.045)))
-    site = Site(rng, terrain, roads, Occupancy(size_m), green=character.green)
-    site.catalogue = catalogue
+    slope = float(rng.uniform(0.015, 0.045))
+    site = paved_site(rng, roads, size_m, slope=slope, paved_m=2.5)
+    site.green, site.catalogue = character.green, catalogue
     fronts = [
         _frontage(rng, character, street, side) for street in roads.streets for side in (1, -1)
     ]
@@ -71,18 +69,7 @@ def _town(seed: int, size_m: float, repetition: float, terraced: bool) -> World:
         _street_parking(site, front, character.parked)
         _traffic(site, front)
     _gardens(site, size_m)
-    static = Objects.of(site.items, 1)
-    return World(
-        f"{'terraces' if terraced else 'town'}-{seed}",
-        seed,
-        terrain,
-        reflectance,
-        roads,
-        static,
-        site.spots(),
-        (_town, (seed, size_m, repetition, terraced)),
-        catalogue=catalogue,
-    )
+    return site.world("terraces" if terraced else "town", seed)
 
 
 def _frontage(
@@ -131,9 +118,8 @@ def _junction(site: Site, node: int) -> None:
             at = middle + reach * way
             if site.roads.clearance(at) > 0.5:
                 if rng.random() < 0.45:
-                    make = traffic_light if lights else traffic_sign
                     kind = "traffic light" if lights else "traffic sign"
-                    mesh = make(site.like(kind))
+                    mesh = (traffic_light if lights else traffic_sign)(site.like(kind))
                     site.stand(kind, mesh, at, float(angle + np.pi + rng.normal(0, 0.4)), 0.4)
                 break
 
@@ -184,31 +170,14 @@ def _gardens(site: Site, size_m: float) -> None:
 
 @dataclass(frozen=True)
 class Character:
-    """What the streets of one town have in common.
+    """What the streets of one town have in common."""
 
-    Attributes
-    ----------
-    buildings : tuple of float
-        Shares of :data:`BUILDINGS`.
-    half_width : (float, float)
-        From the centre line of a street to its kerb, metres.
-    pavement : (float, float)
-        Width, metres.
-    setback : float
-        Times the usual depth of front gardens.
-    green : float
-        How much grows, 0 to 1.
-    parked : float
-        Share of the places by the kerb that are taken.
-    """
-
-    name: str
-    buildings: tuple[float, ...]
-    half_width: tuple[float, float]
-    pavement: tuple[float, float]
-    setback: float
-    green: float
-    parked: float
+    buildings: tuple[float, ...]  # shares of BUILDINGS
+    half_width: tuple[float, float]  # from the centre line of a street to its kerb, metres
+    pavement: tuple[float, float]  # its width, metres
+    setback: float  # times the usual depth of front gardens
+    green: float  # how much grows, 0 to 1
+    parked: float  # share of the places by the kerb that are taken
 
 
 def draw_character(rng: np.random.Generator) -> Character:
@@ -222,7 +191,6 @@ def draw_character(rng: np.random.Generator) -> Character:
     }[kind]
     drawn = rng.dirichlet(15 * np.array(shares) + 0.05)
     return Character(
-        name=kind,
         buildings=tuple(float(share) for share in drawn),
         half_width=(narrow, narrow + float(rng.uniform(0.6, 1.6))),
         pavement=pavement,

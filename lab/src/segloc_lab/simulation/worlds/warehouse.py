@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -22,11 +21,11 @@ from ..objects.furniture import (
     wall,
     wall_things,
 )
-from ..objects.mesh import boxes
+from ..objects.mesh import boxes, xyz
 from .fitting import Fitting
 from .layout import check_world
 from .roads import RoadNetwork, straight
-from .world import World
+from .world import World, remember
 
 _BAY = 2.75  # of racks, metres
 _RACK = 2.5  # depth of two racks back to back
@@ -36,32 +35,21 @@ _NONE = np.zeros((0, 4))
 
 @dataclass(frozen=True)
 class Hall:
-    """One hall of a warehouse.
+    """One hall of a warehouse; metres.
 
-    Attributes
-    ----------
-    start, end : float
-        Metres along the building.
-    pitch : (float, float)
-        Between pillars, along and across the building, metres.
-    high : float
-        Of its ceiling.
-    style : str
-        "bare": pillars and next to nothing else; "racks": rows of racks; "mixed": some racks,
-        machines, and goods on the floor.
-    columns : tuple of float
-        Where ways lead across.
+    Its style is "bare" (pillars and next to nothing else), "racks" (rows of racks) or "mixed" (some
+    racks, machines, and goods on the floor).
     """
 
-    start: float
+    start: float  # along the building, as its end
     end: float
-    pitch: tuple[float, float]
-    high: float
+    pitch: tuple[float, float]  # between pillars, along and across the building
+    high: float  # of its ceiling
     style: str
-    columns: tuple[float, ...]
+    columns: tuple[float, ...]  # where ways lead across
 
 
-@lru_cache(maxsize=2)
+@remember
 def warehouse(seed: int, *, size_m: float = 110.0, repetitive: bool | None = None) -> World:
     """A warehouse of about ``size_m`` metres in length; the same for the same seed.
 
@@ -85,14 +73,9 @@ def warehouse(seed: int, *, size_m: float = 110.0, repetitive: bool | None = Non
         _clutter(site, hall)
     _outer_walls(site, halls)
     for left, hall, open_rows in zip(halls, halls[1:], gates, strict=False):
-        _partition(
-            site, hall.start, max(left.high, hall.high), [across * (j + 0.5) for j in open_rows]
-        )
-    return site.world("warehouse", seed, (_remake, (seed, size_m, repetitive)))
-
-
-def _remake(seed: int, size_m: float, repetitive: bool | None) -> World:
-    return warehouse(seed, size_m=size_m, repetitive=repetitive)
+        middles = [across * (j + 0.5) for j in open_rows]
+        _partition(site, hall.start, max(left.high, hall.high), middles)
+    return site.world("warehouse", seed)
 
 
 def _plan(
@@ -155,18 +138,12 @@ def _ceiling(site: Fitting, hall: Hall) -> None:
     site.put("ceiling", slab([hall.start, 0], [hall.end, wide], high, _NONE, 0.6), np.zeros(2))
     deep = float(rng.uniform(0.4, 1.0))
     begin, end = hall.start + 0.1, hall.end - 0.1
-    girder = beams(
-        [begin + px, 0, high],
-        [begin + px, wide, high],
-        [end - begin - 1.5 * px, 0, 0],
-        px,
-        (0.3, deep),
-    )
-    purlin = beams(
-        [begin, 1, high], [end, 1, high], [0, wide - 2, 0], rng.uniform(1.6, 3.0), (0.12, 0.25)
-    )
-    site.put("beams", girder, np.zeros(2))
-    site.put("beams", purlin, np.zeros(2))
+    x, way = begin + px, [end - begin - 1.5 * px, 0, 0]
+    girders = beams([x, 0, high], [x, wide, high], way, px, (0.3, deep))
+    pitch, way = float(rng.uniform(1.6, 3.0)), [0, wide - 2, 0]
+    purlins = beams([begin, 1, high], [end, 1, high], way, pitch, (0.12, 0.25))
+    for mesh in (girders, purlins):
+        site.put("beams", mesh, np.zeros(2))
     low = high - deep - 0.15
     y = py * (np.arange(int(wide / py)) + 0.5)
     lamps = [[x, v, low] for v in y for x in np.arange(begin + px / 2, end, px)]
@@ -183,11 +160,8 @@ def _racks(site: Fitting, hall: Hall, rows: int) -> None:
     levels: Float64 = 1.6 + step * np.arange(max(1, int((hall.high - 3.6) / step)), dtype=float)
     fill = float(rng.uniform(0.45, 0.95))
     kept = 1.0 if hall.style == "racks" else 0.45
-    edges = [
-        hall.start + 0.6,
-        *(x + s * 1.7 for x in hall.columns for s in (-1, 1)),
-        hall.end - 0.6,
-    ]
+    crossings = [x + s * 1.7 for x in hall.columns for s in (-1, 1)]
+    edges = [hall.start + 0.6, *crossings, hall.end - 0.6]
     for j in range(1, rows):
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             bays = int((end - begin) / _BAY)
@@ -235,7 +209,7 @@ def _clutter(site: Fitting, hall: Hall) -> None:
             site.people.append(at)
     for _ in range(int(area / 150) + 2):
         at = rng.uniform([hall.start + 1.5, 1.5], [hall.end - 1.5, wide - 1.5])
-        if site.claim(at, (2.6, 1.6), 0.0, 0.2):
+        if site.claim(at, (2.6, 1.6), 0.0):
             kind = str(rng.choice(["goods", "goods", "cages", "fork lift", "trolley"]))
             site.move_about(kind, at, float(rng.uniform(0, 2 * np.pi)))
 
@@ -264,13 +238,8 @@ def _side(site: Fitting, hall: Hall, y: float, yaw: float, doors: bool) -> None:
     inward = 1.0 if y == 0 else -1.0
     for x in used:
         site.put("dock door", dock_door(rng, wide, high), np.array([x, y]), yaw)
-    piers = np.arange(hall.start + px, hall.end - 0.1, px)
-    z = hall.high / 2
-    site.put(
-        "piers",
-        boxes([[x, y + inward * 0.25, z] for x in piers], [0.4, 0.3, hall.high], 0.45),
-        np.zeros(2),
-    )
+    at = xyz(np.arange(hall.start + px, hall.end - 0.1, px), y + inward * 0.25, hall.high / 2)
+    site.put("piers", boxes(at, [0.4, 0.3, hall.high], 0.45), np.zeros(2))
     if hall.style != "bare":
         _hang(site, np.array([hall.start, y]), np.array([hall.end, y]), np.pi / 2 * inward)
 

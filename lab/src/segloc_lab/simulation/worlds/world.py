@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeAlias
+from functools import lru_cache, wraps
+from inspect import signature
+from typing import Any, ParamSpec, TypeAlias
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
@@ -13,7 +15,20 @@ from segloc.errors import ConfigError
 from segloc.types import Float32, Float64
 
 from ..objects.fixtures import cabinet, person, traffic_sign
-from ..objects.mesh import SESSION_IDS, SOLID, Mesh, Objects, above, boxes, join, scraps, tubes
+from ..objects.mesh import (
+    SESSION_IDS,
+    SOLID,
+    Mesh,
+    Objects,
+    above,
+    at_height,
+    boxes,
+    join,
+    rotation,
+    scraps,
+    tubes,
+    xyz,
+)
 from ..objects.scene import Scene, Terrain
 from ..objects.vehicles import bicycle, vehicle
 from ..objects.works import barriers, cones
@@ -30,29 +45,13 @@ BUILT = frozenset({"house", "hall", "training house"})
 
 
 class Footing:
-    """Where the ground is free between what stands on it.
+    """Where the ground of a storey is free between the (T, 3, 3) triangles that stay on it.
 
-    Parameters
-    ----------
-    triangles : (T, 3, 3) float32
-        Of everything that stays.
-    parked : (n, 2) float64
-        Middles of places where vehicles come and go.
-    clearance : callable
-        Distances of (n, 2) points from the nearest road.
-    interior : Interior or None
-        Whose walls nothing is put beyond.
+    Nothing is put where vehicles come and go, on roads, or beyond the walls of an interior.
     """
 
-    def __init__(
-        self,
-        triangles: Float32,
-        terrain: Terrain,
-        parked: Float64,
-        clearance: Clearance,
-        interior: Interior | None = None,
-    ) -> None:
-        corners = triangles.reshape(-1, 3)
+    def __init__(self, world: World, triangles: Float32, terrain: Terrain) -> None:
+        parked, corners = world.spots.parking[:, :2], triangles.reshape(-1, 3)
         low = corners[corners[:, 2] < terrain.height(corners[:, 0], corners[:, 1]) + 2.5]
         cell = np.rint(low[:, :2] / _CELL_M).astype(np.int64)
         first = cell.min(axis=0, initial=0)
@@ -60,8 +59,8 @@ class Footing:
         taken[tuple((cell - first).T)] = True
         self._taken = cKDTree(np.concatenate([_CELL_M * (np.argwhere(taken) + first), parked]))
         self._parked = cKDTree(parked) if len(parked) else None
-        self._clearance = clearance
-        self.interior = interior
+        self._clearance = world.roads.clearance
+        self.interior = world.interior
 
     def find(
         self, rng: np.random.Generator, near: Float64, radius: float, taken: list[Float64]
@@ -130,15 +129,11 @@ def _instead(
 ) -> Mesh:
     """Another of its kind where one stood, either way round, square to the walls."""
     turn = 0.0 if interior is None else interior.turn
-    span = np.ptp(extent.triangles.reshape(-1, 3)[:, :2] @ _turned(turn), axis=0)
+    span = np.ptp(extent.triangles.reshape(-1, 3)[:, :2] @ rotation(turn).T, axis=0)
     mesh = entry.make(rng)
     own = np.ptp(mesh.triangles.reshape(-1, 3)[:, :2], axis=0)
     across = np.pi / 2 * ((span[0] > span[1]) != (own[0] > own[1]))
     return mesh.moved([*extent.middle, extent.base], turn + across + np.pi * int(rng.integers(2)))
-
-
-def _turned(angle: float) -> Float64:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def scaffold(
@@ -156,21 +151,17 @@ def scaffold(
     top = max(lift, extent.height - rng.uniform(1.0, 3.0))
     s = np.linspace(0, 1, bays + 1)[:, None]
     line = start + s * (end - start)
-    rows = [np.column_stack([line + out * d, np.full(bays + 1, base)]) for d in (0.3, 0.3 + deep)]
-    foot = np.concatenate(rows)
-    parts = [tubes(foot - above(0.2), foot + above(top + 1.0), [0.024, 0.024], 0.4, sides=5)]
+    rows = [at_height(line + out * d, base) for d in (0.3, 0.3 + deep)]
+    foot, (inner, outer) = np.concatenate(rows), rows
+    parts = [tubes(foot - above(0.2), foot + above(top + 1.0), 0.024, 0.4, sides=5)]
     for z in np.arange(lift, top, lift):
-        for row in rows:
-            at = row + above(z)
-            parts.append(tubes(at[:-1], at[1:], [0.024, 0.024], 0.4, sides=4))
-        rail = rows[1] + above(z + 1.0)
-        parts.append(tubes(rail[:-1], rail[1:], [0.024, 0.024], 0.4, sides=4))
-        parts.append(tubes(rows[0] + above(z), rows[1] + above(z), [0.024] * 2, 0.4, sides=4))
+        for row in (inner + above(z), outer + above(z), outer + above(z + 1.0)):
+            parts.append(tubes(row[:-1], row[1:], 0.024, 0.4, sides=4))
+        parts.append(tubes(inner + above(z), outer + above(z), 0.024, 0.4, sides=4))
         parts.append(_deck(start, end, out, deep, base + z))
-    brace = rows[1]
-    parts.append(tubes(brace[:-1] + above(0.1), brace[1:] + above(top), [0.024] * 2, 0.4, sides=4))
+    parts.append(tubes(outer[:-1] + above(0.1), outer[1:] + above(top), 0.024, 0.4, sides=4))
     if rng.random() < 0.6:
-        parts.append(_netting(rng, rows[1], top))
+        parts.append(_netting(rng, outer, top))
     return join(parts)
 
 
@@ -183,11 +174,11 @@ def _street_side(extent: Extent, clearance: Clearance) -> tuple[Float64, Float64
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
-    turns = [_turned(float(a)) for a in angles]
+    turns = [rotation(float(a)).T for a in angles]
     R = min(turns, key=lambda turn: float(np.prod(np.ptp(hull @ turn, axis=0))))
     low, high = (hull @ R).min(axis=0), (hull @ R).max(axis=0)
-    corner = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ R.T
-    begin, end = corner, np.roll(corner, -1, axis=0)
+    begin = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ R.T
+    end = np.roll(begin, -1, axis=0)
     k = int(np.argmin(clearance((begin + end) / 2)))
     way = (end[k] - begin[k]) / np.linalg.norm(end[k] - begin[k])
     return begin[k], end[k], np.array([way[1], -way[0]])
@@ -209,17 +200,15 @@ def _netting(rng: np.random.Generator, row: Float64, top: float) -> Mesh:
     count = int(np.linalg.norm(b - a) * top * rng.uniform(25, 60))
     t, z = rng.random((count, 1)), rng.uniform(0.5, top, count)
     sway = rng.normal(0, 0.02, (count, 3))
-    center = a + t * (b - a) + sway + np.column_stack([np.zeros((count, 2)), z])
+    center = a + t * (b - a) + sway + xyz(0, 0, z)
     return scraps(rng, center, 0.1, 0.35, SOLID)
 
 
 def road_works(rng: np.random.Generator) -> Mesh:
     """Cones or barriers about a heap or a hole's spoil, about 5 m along x and 1.8 m wide."""
     edge = cones(rng) if rng.random() < 0.6 else barriers(rng)
-    span = edge.triangles[..., 0]
-    fit = min(1.0, 4.6 / float(np.ptp(span)))
-    squeezed = Mesh(edge.triangles * [fit, 1, 1], edge.reflectance, edge.material)
-    parts = [squeezed.moved([0, 0.75, 0])]
+    fit = min(1.0, 4.6 / float(np.ptp(edge.triangles[..., 0])))
+    parts = [edge.scaled([fit, 1, 1]).moved([0, 0.75, 0])]
     size = rng.uniform([1.2, 0.5, 0.3], [3.2, 0.9, 1.1])
     n = int(40 * size[0])
     way = rng.normal(0, 0.33, (n, 2)) * size[:2]
@@ -238,22 +227,11 @@ _ROAD_WORKS = 0.012  # at how many of the places to park they dig
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Things of a few types, as they are bought, planted or built in rows.
+    """Things of a few types, as they are bought, planted or built in rows."""
 
-    Attributes
-    ----------
-    seed : int
-        Another one has other types.
-    repetition : float
-        Share of the things that are of a type from the catalogue, 0 to 1; the others are like no
-        other.
-    types : int
-        Of each kind.
-    """
-
-    seed: int = 0
-    repetition: float = 0.0
-    types: int = 3
+    seed: int = 0  # another one has other types
+    repetition: float = 0.0  # share of the things that are of a type; others are like no other
+    types: int = 3  # of each kind
 
     def __post_init__(self) -> None:
         if not 0 <= self.repetition <= 1:
@@ -267,9 +245,8 @@ class Catalogue:
         """
         if not self.repetition or own.random() >= self.repetition:
             return own
-        return np.random.default_rng(
-            [self.seed, 6211, int(own.integers(self.types)), *kind.encode()]
-        )
+        number = int(own.integers(self.types))
+        return np.random.default_rng([self.seed, 6211, number, *kind.encode()])
 
 
 @dataclass(frozen=True)
@@ -300,29 +277,16 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Spots:
-    """Places where things come and go between sessions.
+    """Places where things come and go between sessions; each row is one place."""
 
-    Attributes
-    ----------
-    parking : (n, 5) float64
-        x, y, yaw, longest vehicle that fits (m), probability that one stands there.
-    people : (m, 2) float64
-        Where somebody may stand, one in a dozen at a time.
-    bicycles : (k, 3) float64
-        x, y, yaw of places to lean a bicycle.
-    movables : (j, 5) float64
-        x, y, yaw, storey and number in :data:`MOVABLES` of what is moved about indoors.
-    """
-
-    parking: Float64
-    people: Float64
-    bicycles: Float64
+    # x, y, yaw, longest vehicle that fits [m], probability that one stands there
+    parking: Float64 = field(default_factory=lambda: np.zeros((0, 5)))
+    # x, y of where somebody may stand, one in a dozen at a time
+    people: Float64 = field(default_factory=lambda: np.zeros((0, 2)))
+    # x, y, yaw of places to lean a bicycle
+    bicycles: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
+    # x, y, yaw, storey and number in MOVABLES of what is moved about indoors
     movables: Float64 = field(default_factory=lambda: np.zeros((0, 5)))
-
-    @staticmethod
-    def none() -> Spots:
-        """No place for anything: a world that never changes."""
-        return Spots(np.zeros((0, 5)), np.zeros((0, 2)), np.zeros((0, 3)))
 
 
 @dataclass
@@ -336,7 +300,7 @@ class World:
     ground_reflectance : (T,) float32
         Of each triangle of the terrain's mesh.
     recipe : (callable, arguments) or None
-        How to make the world again; with one, a pickled world is as small as its recipe.
+        How to make the world again, by :func:`remember`; pickled worlds are their recipes.
     interior : Interior or None
         Of a world indoors: where its walls are, and its storeys.
     catalogue : Catalogue
@@ -416,9 +380,7 @@ class World:
                 base = float(floor.heights.min()) - 0.3
                 standing = standing[standing[..., 2].max(axis=1) > base]
                 mine = {k: v for k, v in things.items() if inside.storey(v[1].base) == storey}
-            parked = self.spots.parking[:, :2]
-            footing = Footing(standing, floor, parked, self.roads.clearance, inside)
-            lost, added = replace_some(rng, share, mine, footing, floor)
+            lost, added = replace_some(rng, share, mine, Footing(self, standing, floor), floor)
             gone |= lost
             items += added
         return gone, items
@@ -449,8 +411,8 @@ class World:
         for floor in floors:
             for x, y in self.spots.people[rng.random(len(self.spots.people)) < 1 / 12]:
                 at = np.array([x, y]) + rng.normal(0, 0.3, 2)
-                foot = [*at, float(floor.height(*at))]
-                items.append(("person", person(rng).moved(foot, rng.uniform(0, 2 * np.pi))))
+                walker, yaw = person(rng), rng.uniform(0, 2 * np.pi)
+                items.append(("person", walker.moved([*at, floor.height(*at)], yaw)))
         for x, y, yaw in self.spots.bicycles[rng.random(len(self.spots.bicycles)) < 0.5]:
             at = np.array([x, y]) + rng.normal(0, 0.2, 2)
             items.append(("bicycle", self._stand(bicycle(rng), at, yaw + rng.normal(0, 0.2))))
@@ -489,3 +451,28 @@ class World:
         state = (self.name, self.seed, self.terrain, self.ground_reflectance)
         rest = (self.roads, self.static, self.spots, None, self.interior, self.catalogue)
         return World, (*state, *rest)
+
+
+P = ParamSpec("P")
+
+
+def remember(make: Callable[P, World]) -> Callable[P, World]:
+    """Keep the last two worlds that a function makes; it makes pickled ones again."""
+    parameters = signature(make).parameters
+    by_place = signature(make).replace(
+        parameters=[each.replace(kind=each.POSITIONAL_OR_KEYWORD) for each in parameters.values()]
+    )
+
+    @lru_cache(maxsize=2)
+    def made(*values: Any) -> World:
+        world = make(**dict(zip(parameters, values, strict=True)))  # type: ignore[call-arg]
+        world.recipe = (again, values)
+        return world
+
+    @wraps(make)
+    def again(*args: P.args, **kwargs: P.kwargs) -> World:
+        given = by_place.bind(*args, **kwargs)
+        given.apply_defaults()
+        return made(*given.arguments.values())
+
+    return again
