@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from samples.shapes import shapes_dataset
 from segloc_lab.training.grow_forest import ForestConfig, train_forest, trees_of
-from segloc_lab.training.shapes import shapes_dataset
 
 from segloc import _native
 from segloc.descriptors.random_forest import (

@@ -13,12 +13,12 @@ from segloc.errors import ConfigError, DatasetError, SeglocError, WeightsError
 
 torch = pytest.importorskip("torch")
 
+from samples.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.config import TrainConfig, load_train_config  # noqa: E402
 from segloc_lab.training.dataset import SegmentDataset  # noqa: E402
 from segloc_lab.training.extract import Extract  # noqa: E402
 from segloc_lab.training.labels import LabelConfig  # noqa: E402
 from segloc_lab.training.metrics import load_descriptor  # noqa: E402
-from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import INDEX, Session, load_dataset, write_shard  # noqa: E402
 from segloc_lab.training.shards import finish as finish_dataset  # noqa: E402
 from segloc_lab.training.train import _agrees, train  # noqa: E402
@@ -28,11 +28,6 @@ torch.set_num_threads(1)
 QUICK = TrainConfig(
     network="profile", steps=4, classes=12, validate_every=2, warmup=2, validation_limit=60
 )
-
-
-@pytest.fixture(scope="module")
-def shapes() -> SegmentDataset:
-    return shapes_dataset(60, 3, seed=7)
 
 
 def quiet(_: str) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from samples.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.config import TrainConfig  # noqa: E402
 from segloc_lab.training.segmap import SegMapNetwork  # noqa: E402
-from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.tasks import create_task  # noqa: E402
 from segloc_lab.training.train import Batches  # noqa: E402
 

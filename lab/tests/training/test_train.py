@@ -23,7 +23,6 @@ from segloc_lab.training.labels import LabelConfig, label_objects  # noqa: E402
 from segloc_lab.training.metrics import matching_pairs, nearest_is_right, score  # noqa: E402
 from segloc_lab.training.pair_fitting import PairHead, fit_pair_head  # noqa: E402
 from segloc_lab.training.pointset import prepared_points  # noqa: E402
-from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
 from segloc_lab.training.train import train  # noqa: E402
 
@@ -36,11 +35,6 @@ torch.set_num_threads(1)
 QUICK = TrainConfig(
     steps=20, classes=12, validate_every=10, mine_every=10, warmup=5, validation_limit=60
 )
-
-
-@pytest.fixture(scope="module")
-def shapes() -> SegmentDataset:
-    return shapes_dataset(60, 3, seed=7)
 
 
 def quiet(_: str) -> None:
@@ -140,17 +134,11 @@ def test_scores_of_known_descriptors() -> None:
     n = 40
     labels = np.arange(n, dtype=np.int64) // 2
     sessions = np.arange(n, dtype=np.int64) % 2
-    empty = np.zeros((n, 3), np.float32)
-    centroids = np.column_stack([100.0 * labels, np.zeros(n), np.zeros(n)])
+    centroids = 100.0 * labels[:, None] * [1.0, 0, 0]
     dataset = SegmentDataset(
-        empty,
-        np.arange(n + 1, dtype=np.int64),
-        labels,
-        sessions,
-        np.zeros(n, np.int64),
-        centroids,
-        np.zeros(n, np.float32),
-    )
+        np.zeros((n, 3), np.float32), np.arange(n + 1), labels, sessions,
+        np.zeros(n, np.int64), centroids, np.zeros(n, np.float32),
+    )  # fmt: skip
     perfect = labels[:, None].astype(np.float32)
     found = score(perfect, dataset, k=5)
     assert (found.auc, found.recall, found.recall_first) == (1.0, 1.0, 1.0)
@@ -160,9 +148,8 @@ def test_scores_of_known_descriptors() -> None:
     alone = score(perfect, replace(dataset, sessions=np.zeros(n, np.int64)), k=5)
     assert alone.recall is None and "two sessions" in str(alone)
     a, b = matching_pairs(dataset)
-    assert (
-        len(a) == n // 2 and (labels[a] == labels[b]).all() and (sessions[a] != sessions[b]).all()
-    )
+    assert len(a) == n // 2
+    assert (labels[a] == labels[b]).all() and (sessions[a] != sessions[b]).all()
 
 
 def test_dataset_file(tmp_path: Path, shapes: SegmentDataset) -> None:

@@ -85,8 +85,7 @@ def _different(
 
 
 def _distances(centroids: Float64, first: Int64, second: Int64) -> Float64:
-    distances: Float64 = np.linalg.norm(centroids[first] - centroids[second], axis=1)
-    return distances
+    return np.linalg.norm(centroids[first] - centroids[second], axis=1)
 
 
 def _rows(dataset: SegmentDataset, first: Int64, second: Int64, match: int) -> list[list[str]]:

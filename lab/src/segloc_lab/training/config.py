@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from segloc.config import validated
@@ -17,7 +18,7 @@ from segloc.system import kernels
 from segloc.system.section import Section, read_yaml
 from segloc.types import Float32
 
-from .dataset import FAR_M
+from .dataset import FAR_M, SegmentDataset
 
 Sampler = Literal["farthest", "random", "inverse_density"]
 
@@ -52,6 +53,17 @@ def augment(points: Float32, config: AugmentConfig, rng: np.random.Generator) ->
     if config.yaw:
         result = result @ _yaw(rng.uniform(0.0, 2 * np.pi)).T
     return np.ascontiguousarray(result, dtype=np.float32)
+
+
+def points_of(
+    dataset: SegmentDataset,
+    indices: NDArray[np.int64],
+    config: AugmentConfig,
+    rng: np.random.Generator | None = None,
+) -> list[Float32]:
+    """Return the points of segments; augmented if a generator is given."""
+    parts = [dataset.segment(int(i)) for i in indices]
+    return parts if rng is None else [augment(part, config, rng) for part in parts]
 
 
 def _drop(points: Float32, config: AugmentConfig, rng: np.random.Generator) -> Float32:
@@ -105,8 +117,7 @@ def _spacing(prepared: Float32) -> Float32:
     P, N, _ = prepared.shape
     index = kernels.dilated_neighbors(prepared, N, N, min(_DENSITY_NEIGHBORS, N), 1, 1)
     near = prepared[np.arange(P)[:, None, None], index]
-    spacing: Float32 = np.square(near - prepared[:, :, None]).sum(axis=-1).mean(axis=-1)
-    return spacing
+    return np.square(near - prepared[:, :, None]).sum(axis=-1).mean(axis=-1)
 
 
 Loss = Literal["info_nce", "triplet", "esm", "multi_similarity"]

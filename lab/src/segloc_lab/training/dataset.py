@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,10 +76,8 @@ class SegmentDataset:
 
     def segment(self, index: int) -> Float32:
         """Return the (n, 3) points of one segment, float32."""
-        points: Float32 = self.points[self.offsets[index] : self.offsets[index + 1]].astype(
-            np.float32, copy=False
-        )
-        return points
+        part = self.points[self.offsets[index] : self.offsets[index + 1]]
+        return part.astype(np.float32, copy=False)
 
     def segments(self, indices: NDArray[np.integer] | None = None) -> Segments:
         """Return some segments (by default all) for the descriptors."""
@@ -102,10 +100,8 @@ class SegmentDataset:
     ) -> NDArray[np.bool_]:
         """Return whether segments of ``a`` and ``b`` (broadcast) surely show different objects."""
         apart = np.linalg.norm(self.centroids[a] - self.centroids[b], axis=-1) > far_m
-        result: NDArray[np.bool_] = (self.labels[a] != self.labels[b]) & (
-            apart | (self.places[a] != self.places[b])
-        )
-        return result
+        apart |= self.places[a] != self.places[b]
+        return apart & (self.labels[a] != self.labels[b])
 
     def limited(self, limit: int, seed: int) -> SegmentDataset:
         """Return at most ``limit`` segments, of complete objects except the last."""
@@ -197,10 +193,7 @@ class SegmentDataset:
                 start += int(values.max(initial=-1)) + 1
             return np.concatenate(result)
 
-        starts = np.cumsum([0, *(len(part.points) for part in parts)])
-        offsets = [
-            part.offsets[:-1] + start for part, start in zip(parts, starts[:-1], strict=True)
-        ]
+        sizes = np.concatenate([np.diff(part.offsets) for part in parts])
         names = tuple(dict.fromkeys(name for part in parts for name in part.sensor_names))
         sensors = [
             np.array([names.index(name) for name in part.sensor_names])[part.sensors]
@@ -212,7 +205,7 @@ class SegmentDataset:
         }
         return SegmentDataset(
             **joined,
-            offsets=np.concatenate([*offsets, starts[-1:]]).astype(np.int64),
+            offsets=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
             labels=shifted("labels"),
             sessions=shifted("sessions"),
             places=shifted("places"),
@@ -238,6 +231,12 @@ def read_arrays(
         raise DatasetError(f"{path}: not a dataset: {error}") from error
 
 
+def chunks(count: int, size: int) -> Iterator[Int64]:
+    """Yield the numbers below ``count``, at most ``size`` at once."""
+    for first in range(0, count, size):
+        yield np.arange(first, min(first + size, count))
+
+
 def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:
     """Concatenate segments to points (M, 3) and offsets (P + 1,)."""
     points = np.concatenate([np.empty((0, 3), np.float32), *parts])
@@ -245,13 +244,5 @@ def packed(parts: Sequence[Float32]) -> tuple[Float32, Int64]:
 
 
 _REAL = ("points", "centroids", "heights", "lengths")
-_PER_SEGMENT = (
-    "labels",
-    "sessions",
-    "places",
-    "centroids",
-    "heights",
-    "lengths",
-    "sensors",
-    "objects",
-)
+_WHOLE = ("labels", "sessions", "places", "sensors", "objects")
+_PER_SEGMENT = (*_WHOLE, "centroids", "heights", "lengths")

@@ -46,34 +46,16 @@ class ExtractConfig(Section):
 
 @dataclass(frozen=True)
 class Extract:
-    """P segments of one session.
+    """P segments of one session."""
 
-    Attributes
-    ----------
-    points : (M, 3) float32
-        Relative to each segment's centroid, axes of its local cloud.
-    offsets : (P + 1,) int64
-    centroids : (P, 3) float64
-        In the frame of the poses, after registration.
-    heights : (P,) float32
-    extents : (P, 3) float64
-        Along and across the horizontal principal axis and along z.
-    lengths : (P,) float32
-        Length of the local cloud along the trajectory [m]; 0 for a single scan.
-    objects : (P,) int64
-        True object of most of a segment's points; -1 if unknown.
-    structure : (N, 3) float32
-        World frame, with ground, thinned, for registration of later sessions.
-    """
-
-    points: Float32
-    offsets: Int64
-    centroids: Float64
-    heights: Float32
-    extents: Float64
-    lengths: Float32
-    objects: Int64
-    structure: Float32
+    points: Float32  # (M, 3), relative to each segment's centroid, axes of its local cloud
+    offsets: Int64  # (P + 1,)
+    centroids: Float64  # (P, 3), in the frame of the poses, after registration
+    heights: Float32  # (P,)
+    extents: Float64  # (P, 3), along and across the horizontal principal axis and along z
+    lengths: Float32  # (P,), of the local cloud along the trajectory [m]; 0 for a single scan
+    objects: Int64  # (P,), true object of most of a segment's points; -1 if unknown
+    structure: Float32  # (N, 3), world frame, with ground, thinned, to register later sessions
 
     def __len__(self) -> int:
         return len(self.lengths)

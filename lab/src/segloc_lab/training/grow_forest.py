@@ -26,6 +26,7 @@ from segloc.system.section import Section
 from segloc.types import Float32, Int64
 
 from .dataset import SegmentDataset
+from .metrics import share_below
 
 Progress = Callable[[str], None]
 
@@ -34,18 +35,10 @@ _MAX_ODDS, _BISECTIONS = 4.0, 12
 
 @dataclass(frozen=True)
 class ForestScores:
-    """Quality of a forest on candidates it was not trained on.
+    """Quality of a forest on candidates it was not trained on."""
 
-    Attributes
-    ----------
-    auc : float
-        Probability that a correct candidate is scored above a wrong one.
-    right_kept, wrong_kept : float
-        Shares of correct and wrong candidates that pruning keeps by default.
-    """
-
-    auc: float
-    right_kept: float
+    auc: float  # probability that a correct candidate is scored above a wrong one
+    right_kept: float  # share of the correct candidates that pruning keeps by default
     wrong_kept: float
 
 
@@ -182,9 +175,8 @@ def _scores(
     forest: PairForest, vectors: Float32, pairs: Candidates, config: ForestConfig
 ) -> ForestScores:
     likely = forest.probability(vectors, vectors, pairs.rows, pairs.columns, config.threads)
-    right, wrong = likely[pairs.same], np.sort(likely[~pairs.same])
-    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    auc = float(below.mean() / (2 * len(wrong))) if len(right) and len(wrong) else 0.5
+    right, wrong = likely[pairs.same], likely[~pairs.same]
+    auc = share_below(right, wrong) if len(right) and len(wrong) else 0.5
     least = MatchingConfig().min_probability
     kept = (float((part >= least).mean()) if len(part) else 0.0 for part in (right, wrong))
     return ForestScores(auc, *kept)
@@ -212,13 +204,7 @@ class ForestConfig(Section):
 
 @dataclass(frozen=True)
 class Candidates:
-    """N pairs of segments, and whether they show one object.
-
-    Attributes
-    ----------
-    rows, columns : (N,) int64
-    same : (N,) bool
-    """
+    """N pairs of segments, and whether they show one object."""
 
     rows: Int64
     columns: Int64

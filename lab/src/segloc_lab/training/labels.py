@@ -66,30 +66,16 @@ def _agree(a: Float64, b: Float64, share: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class LabelCounts:
-    """Statistics of labels.
-
-    Attributes
-    ----------
-    seen_again : int
-        Objects with at least two views.
-    views : float
-        Mean views of those.
-    matching, matching_across : int
-        Pairs of views of one object; those from different sessions.
-    different : int
-        Pairs of segments that certainly differ: other labels and more than 20 m apart.
-    agreeing : float
-        Share of the matching pairs across sessions that truly show one object; NaN if unknown.
-    """
+    """Statistics of labels."""
 
     segments: int
     objects: int
-    seen_again: int
-    views: float
-    matching: int
-    matching_across: int
-    different: int
-    agreeing: float
+    seen_again: int  # objects with at least two views
+    views: float  # mean views of those
+    matching: int  # pairs of views of one object
+    matching_across: int  # those from different sessions
+    different: int  # pairs that certainly differ: other labels and more than 20 m apart
+    agreeing: float  # share of those across sessions that truly show one object; NaN if unknown
 
 
 def count_labels(
@@ -124,11 +110,11 @@ def groups_of(labels: Int64) -> list[Int64]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def pairs_of(labels: Int64, limit: int) -> tuple[Int64, Int64]:
+def pairs_of(labels: Int64, limit: int | None = None) -> tuple[Int64, Int64]:
     """Return pairs of the same label, thinned evenly if far more than ``limit``."""
     groups = groups_of(labels)
     total = sum(len(g) * (len(g) - 1) // 2 for g in groups)
-    step = max(1, total // limit)
+    step = max(1, total // limit) if limit else 1
     first: list[Int64] = [np.empty(0, np.int64)]
     second: list[Int64] = [np.empty(0, np.int64)]
     for group in groups:

@@ -19,8 +19,8 @@ from segloc.errors import WeightsError
 from segloc.system import kernels
 from segloc.types import Float32
 
-from .dataset import SegmentDataset
-from .labels import groups_of
+from .dataset import SegmentDataset, chunks
+from .labels import pairs_of
 
 _RESAMPLES = 500
 """Bootstrap resamples."""
@@ -28,23 +28,15 @@ _RESAMPLES = 500
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of a set of descriptors.
+    """Scores of a set of descriptors; recalls are None if no object is in two sessions."""
 
-    Attributes
-    ----------
-    auc : float
-        Probability that a random matching pair (of different sessions if there are several) is
-        closer than a random pair of different objects.
-    recall : float or None
-        Share of segments with a view in another session that have one among the 25 nearest
-        descriptors of other sessions. None if no object is in two sessions.
-    recall_first : float or None
-        The same for the nearest descriptor.
-    """
-
+    # Probability that a random matching pair (of different sessions if there are several) is closer
+    # than a random pair of different objects.
     auc: float
+    # Share of segments with a view in another session that have one among the 25 nearest
+    # descriptors of other sessions.
     recall: float | None
-    recall_first: float | None
+    recall_first: float | None  # the same for the nearest descriptor
 
     def __str__(self) -> str:
         if self.recall is None or self.recall_first is None:
@@ -114,28 +106,26 @@ def _auc(vectors: Float32, dataset: SegmentDataset, rng: np.random.Generator) ->
     if len(a) == 0:
         return 0.5
     count = max(len(a), 2000)
-    c, d = rng.integers(len(dataset), size=(2, 4 * count))
-    differ = dataset.different(c, d)
-    c, d = c[differ][:count], d[differ][:count]
+    c, d = _different_pairs(dataset, 4 * count, count, rng)
     positive = np.linalg.norm(vectors[a] - vectors[b], axis=1)
-    negative = np.sort(np.linalg.norm(vectors[c] - vectors[d], axis=1))
-    low = np.searchsorted(negative, positive, side="left")
-    high = np.searchsorted(negative, positive, side="right")
-    return float(1.0 - (low + high).mean() / (2 * len(negative))) if len(negative) else 0.5
+    negative = np.linalg.norm(vectors[c] - vectors[d], axis=1)
+    return 1.0 - share_below(positive, negative) if len(negative) else 0.5
+
+
+def share_below(values: NDArray[np.floating], others: NDArray[np.floating]) -> float:
+    """Return the share of pairs with the other one below; equal ones count half."""
+    others = np.sort(others)
+    below = np.searchsorted(others, values, "left") + np.searchsorted(others, values, "right")
+    return float(below.mean() / (2 * len(others)))
 
 
 def matching_pairs(dataset: SegmentDataset) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices of all pairs of one label, of different sessions if there are several."""
-    across = len(np.unique(dataset.sessions)) > 1
-    first: list[NDArray[np.int64]] = []
-    second: list[NDArray[np.int64]] = []
-    for group in groups_of(dataset.labels):
-        i, j = np.triu_indices(len(group), 1)
-        a, b = group[i], group[j]
-        keep = dataset.sessions[a] != dataset.sessions[b] if across else np.ones(len(a), bool)
-        first.append(a[keep])
-        second.append(b[keep])
-    return np.concatenate(first), np.concatenate(second)
+    a, b = pairs_of(dataset.labels)
+    if len(np.unique(dataset.sessions)) < 2:
+        return a, b
+    across = dataset.sessions[a] != dataset.sessions[b]
+    return a[across], b[across]
 
 
 @dataclass(frozen=True)
@@ -162,7 +152,9 @@ def auc_interval(vectors: Float32, dataset: SegmentDataset, *, seed: int = 0) ->
     """
     rng = np.random.default_rng(seed)
     places = bootstrap_places(dataset)
-    (a, b), (c, d) = matching_pairs(dataset), _different_pairs(dataset, rng)
+    a, b = matching_pairs(dataset)
+    count = max(20_000, len(a))
+    c, d = _different_pairs(dataset, 2 * count, count, rng)
     right = -np.linalg.norm(vectors[a] - vectors[b], axis=1)
     wrong = -np.linalg.norm(vectors[c] - vectors[d], axis=1)
     return area_interval(right, wrong, places[a], places[c], rng)
@@ -219,11 +211,10 @@ def bootstrap_places(dataset: SegmentDataset) -> NDArray[np.int64]:
 
 
 def _different_pairs(
-    dataset: SegmentDataset, rng: np.random.Generator
+    dataset: SegmentDataset, draws: int, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Draw pairs that certainly differ, as many as matching ones or 20 000."""
-    count = max(20_000, len(matching_pairs(dataset)[0]))
-    a, b = rng.integers(len(dataset), size=(2, 2 * count))
+    """Draw up to ``count`` pairs that certainly differ."""
+    a, b = rng.integers(len(dataset), size=(2, draws))
     differ = dataset.different(a, b)
     return a[differ][:count], b[differ][:count]
 
@@ -269,16 +260,10 @@ _MAX_QUERIES = 5000
 
 @dataclass(frozen=True)
 class Report:
-    """Scores of a descriptor on a dataset.
-
-    Attributes
-    ----------
-    recalls : list of (pool, recalls)
-        Size of the pool, and the recall at each of ``KS``.
-    """
+    """Scores of a descriptor on a dataset."""
 
     auc: Interval
-    recalls: list[tuple[int, NDArray[np.float64]]]
+    recalls: list[tuple[int, NDArray[np.float64]]]  # size of the pool, and recall at each of KS
     queries: int
 
 
@@ -305,9 +290,8 @@ def describe(
 ) -> tuple[Float32, NDArray[np.float32] | None]:
     """Return vectors (P, dim) of all segments, and their qualities if available."""
     vectors, qualities = [], []
-    for first in range(0, len(dataset), _CHUNK):
-        part = dataset.segments(np.arange(first, min(first + _CHUNK, len(dataset))))
-        found = descriptor.describe(part)
+    for indices in chunks(len(dataset), _CHUNK):
+        found = descriptor.describe(dataset.segments(indices))
         vectors.append(found.vectors)
         qualities.append(found.quality)
     known = [quality for quality in qualities if quality is not None]

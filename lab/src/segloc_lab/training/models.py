@@ -60,8 +60,7 @@ def elu_norm(
         Of the batch; the variance is biased. No gradient.
     """
     if _is_native(x, weight, bias):
-        result: tuple[Tensor, Tensor, Tensor] = _EluNorm.apply(x, weight, bias, eps, activate)
-        return result
+        return _EluNorm.apply(x, weight, bias, eps, activate)
     z = functional.elu(x) if activate else x
     output = functional.batch_norm(z, None, None, weight, bias, True, 0.0, eps)
     variance, mean = torch.var_mean(z.detach().float(), dim=0, correction=0)
@@ -77,18 +76,9 @@ class _EluNorm(torch.autograd.Function):
         output = torch.empty_like(x)
         z = torch.empty_like(x) if activate else x
         mean, variance = torch.empty_like(weight), torch.empty_like(weight)
-        kernels.elu_norm(
-            _array(x),
-            activate,
-            _array(weight),
-            _array(bias),
-            eps,
-            _array(z),
-            _array(output),
-            _array(mean),
-            _array(variance),
-            torch.get_num_threads(),
-        )
+        given = (_array(x), activate, _array(weight), _array(bias), eps)
+        results = [_array(t) for t in (z, output, mean, variance)]
+        kernels.elu_norm(*given, *results, threads=torch.get_num_threads())  # type: ignore[misc]
         ctx.save_for_backward(z, weight, mean, variance)
         ctx.eps, ctx.activate = eps, activate
         ctx.mark_non_differentiable(mean, variance)
@@ -98,19 +88,10 @@ class _EluNorm(torch.autograd.Function):
     def backward(ctx, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[no-untyped-def]
         z, weight, mean, variance = ctx.saved_tensors
         x, w, b = torch.empty_like(z), torch.empty_like(weight), torch.empty_like(weight)
-        kernels.elu_norm_backward(
-            _array(gradients[0]),
-            _array(z),
-            ctx.activate,
-            _array(weight),
-            ctx.eps,
-            _array(mean),
-            _array(variance),
-            _array(x),
-            _array(w),
-            _array(b),
-            torch.get_num_threads(),
-        )
+        given = (_array(gradients[0]), _array(z), ctx.activate, _array(weight), ctx.eps)
+        arrays = [_array(t) for t in (mean, variance, x, w, b)]
+        threads = torch.get_num_threads()
+        kernels.elu_norm_backward(*given, *arrays, threads=threads)  # type: ignore[misc]
         return x, w, b, None, None
 
 
@@ -134,8 +115,7 @@ def xconv_apply(
     """
     if _is_native(x, lift, depthwise) and (features is None or _is_native(features)):
         held = lift.new_empty(len(lift), 1, 0) if features is None else features
-        result: Tensor = _Apply.apply(x, lift, held, neighbors, depthwise)
-        return result
+        return _Apply.apply(x, lift, held, neighbors, depthwise)
     gathered = lift if features is None else torch.cat([lift, gather(features, neighbors)], dim=-1)
     return torch.einsum("bnkc,mkc->bnmc", x @ gathered, depthwise.to(gathered.dtype))
 
@@ -174,8 +154,7 @@ def column_maps(x: Tensor, weight: Tensor) -> Tensor:
         The result at (c, o) is the sum over i of x at (i, c) times the weight at (i, c, o).
     """
     if _is_native(x, weight):
-        result: Tensor = _ColumnMaps.apply(x, weight)
-        return result
+        return _ColumnMaps.apply(x, weight)
     # Most of this matrix is zero, yet one large product is faster than K small ones.
     K = len(weight)
     eye = torch.eye(K, dtype=weight.dtype, device=weight.device)
@@ -303,12 +282,10 @@ class XConv(nn.Module):
         )
         _, channels, depth = self.depthwise.shape
         pointwise = self.pointwise.view(channels, depth, -1).transpose(0, 1).flatten(0, 1)
-        out: Tensor = self.norm(separated.flatten(2) @ pointwise)
-        return out
+        return self.norm(separated.flatten(2) @ pointwise)
 
     def _lift(self, relative: Tensor) -> Tensor:
-        lifted: Tensor = self.lift2_norm(self.lift1_norm(relative @ self.lift1) @ self.lift2)
-        return lifted
+        return self.lift2_norm(self.lift1_norm(relative @ self.lift1) @ self.lift2)
 
     def _transform(self, relative: Tensor) -> Tensor:
         """Return the K x K matrix of each query."""
@@ -316,8 +293,7 @@ class XConv(nn.Module):
         x = self.x0_norm(relative.reshape(B, N, 3 * K) @ self.x0.flatten(1))
         x = column_maps(x.view(B, N, K, K), self.x1)
         x = column_maps(self.x1_norm(x.flatten(2)).view(B, N, K, K), self.x2)
-        result: Tensor = self.x2_norm(x.flatten(2)).view(B, N, K, K)
-        return result
+        return self.x2_norm(x.flatten(2)).view(B, N, K, K)
 
 
 def neighbors_of(points: Float32, layers: Sequence[Layer], threads: int = 1) -> list[Tensor]:
@@ -365,11 +341,9 @@ class DescriptorNetwork(nn.Module):
 
     def trunk_parameters(self) -> int:
         """Number of parameters up to the descriptor."""
-        heads = sum(p.numel() for head in self._heads() for p in head.parameters())
-        return sum(p.numel() for p in self.parameters()) - heads
-
-    def _heads(self) -> tuple[nn.Module, nn.Module]:
-        return self.pair_head, self.quality_head
+        heads = (self.pair_head, self.quality_head)
+        rest = sum(p.numel() for head in heads for p in head.parameters())
+        return sum(p.numel() for p in self.parameters()) - rest
 
     def activations(self, points: Tensor, *neighbors: Tensor) -> list[Tensor]:
         """Return the output of each X-conv layer for prepared segments (B, 256, 3): (B, N, C)."""
@@ -392,9 +366,7 @@ class DescriptorNetwork(nn.Module):
         position = self.global2_norm(position @ self.global2)
         pooled = torch.cat([last, position], dim=-1).mean(dim=1)
         hidden = self.fc1_norm(pooled @ self.fc1)
-        hidden = self.fc2_norm(hidden @ self.fc2)
-        descriptors: Tensor = self.fc3(hidden)
-        return descriptors
+        return self.fc3(self.fc2_norm(hidden @ self.fc2))
 
     def quality(self, descriptors: Tensor) -> Tensor:
         """Return the probability that a descriptor's nearest neighbour is correct, (B,)."""
@@ -402,8 +374,7 @@ class DescriptorNetwork(nn.Module):
 
     def pair_logits(self, a: Tensor, b: Tensor) -> Tensor:
         """Return the log-odds (...,) that descriptors (..., dim) are of one object."""
-        logits: Tensor = self.pair_head(a, b)
-        return logits
+        return self.pair_head(a, b)
 
 
 def export(
@@ -433,7 +404,6 @@ def folded(model: DescriptorNetwork) -> dict[str, Float32]:
     """
     tensors: dict[str, Tensor] = {}
     for index, layer in enumerate(model.xconvs):
-        assert isinstance(layer, XConv)
         tensors |= {f"layers.{index}.{name}": t for name, t in _xconv(layer).items()}
     a, b = _affine(model.global1_norm)
     tensors["global1.weight"] = model.global1.double()
@@ -456,7 +426,6 @@ def folded(model: DescriptorNetwork) -> dict[str, Float32]:
 
 def _affine(norm: Norm) -> tuple[Tensor, Tensor]:
     """Return scale and shift of a batch norm at inference."""
-    assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)
     return scale, norm.bias.double() - norm.running_mean.double() * scale
 

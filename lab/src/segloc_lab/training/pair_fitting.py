@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
 from segloc.system import kernels
-from segloc.types import Float32, Float64, Int64
+from segloc.types import Float32, Int64
 
 from .config import HeadKind
+from .dataset import SegmentDataset
 
 _HIDDEN = 32
 
@@ -51,7 +49,6 @@ class PairHead(nn.Module):
         """Return tensors for :class:`segloc.descriptors.pointset.PairHead`."""
         found: dict[str, Tensor] = {}
         for number, layer in enumerate(self.layers):
-            assert isinstance(layer, nn.Linear)
             found[f"pair.{number}.weight"] = layer.weight.detach().T
             found[f"pair.{number}.bias"] = layer.bias.detach()
         return found
@@ -87,42 +84,7 @@ _RATE, _DECAY = 0.02, 1e-5
 _NEAREST = 5
 
 
-class Located(Protocol):
-    """Segments with known places."""
-
-    @property
-    def places(self) -> Int64:
-        """World of each segment, (P,)."""
-
-    @property
-    def sessions(self) -> Int64:
-        """Recording of each segment, (P,)."""
-
-    @property
-    def centroids(self) -> Float64:
-        """Centroids (P, 3) in the frame of the world [m]."""
-
-    def different(self, a: NDArray[np.integer], b: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Return whether segments (broadcast) certainly show different objects."""
-
-
-@dataclass(frozen=True)
-class PairSample:
-    """N pairs of segments.
-
-    Attributes
-    ----------
-    first, second : (N,) int64
-    same : (N,) bool
-        Matching pairs; all others are different.
-    """
-
-    first: Int64
-    second: Int64
-    same: NDArray[np.bool_]
-
-
-def near_pairs(segments: Located) -> Int64:
+def near_pairs(segments: SegmentDataset) -> Int64:
     """Return all pairs (N, 2) of one world, but different sessions, with centroids within 0.5 m.
 
     They match by the paper's labels. By the training labels some show different parts of an object;
@@ -138,33 +100,36 @@ def near_pairs(segments: Located) -> Int64:
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def random_pairs(segments: Located, count: int, rng: np.random.Generator) -> PairSample:
-    """Draw up to ``count`` matching pairs by the paper's labels, and as many of any two others."""
+def random_pairs(
+    segments: SegmentDataset, count: int, rng: np.random.Generator
+) -> tuple[Int64, Int64]:
+    """Draw up to ``count`` matching pairs by the paper's labels, and as many of any two others.
+
+    Returns both kinds, (N, 2) each.
+    """
     near = near_pairs(segments)
     same = near[rng.permutation(len(near))[:count]]
     drawn = rng.integers(len(segments.places), size=(4 * count, 2))
-    other = drawn[segments.different(*drawn.T)][:count]
-    pairs = np.concatenate([same, other])
-    return PairSample(pairs[:, 0], pairs[:, 1], np.arange(len(pairs)) < len(same))
+    return same, drawn[segments.different(*drawn.T)][:count]
 
 
 def nearest_wrong(
-    segments: Located, vectors: Float32, count: int, rng: np.random.Generator, threads: int = 1
-) -> tuple[Int64, Int64]:
-    """Return segments, each with one of the nearest descriptors of another object."""
+    segments: SegmentDataset, vectors: Float32, count: int, rng: np.random.Generator, threads: int
+) -> Int64:
+    """Return segments, each with one of the nearest descriptors of another object, (N, 2)."""
     queries = rng.integers(len(vectors), size=count)
     k = min(len(vectors), 8 * _NEAREST)
     near, _ = kernels.knn(np.ascontiguousarray(vectors[queries]), vectors, k, threads)
     wrong = segments.different(queries[:, None], near)
     rank = rng.integers(1, _NEAREST + 1, size=count)
     found = np.cumsum(wrong, axis=1) == rank[:, None]
-    some = found.any(axis=1)
-    return queries[some], near[np.arange(count), found.argmax(axis=1)][some]
+    pairs = np.column_stack([queries, near[np.arange(count), found.argmax(axis=1)]])
+    return pairs[found.any(axis=1)]
 
 
 def fit_pair_head(
     head: PairHead,
-    parts: Sequence[tuple[Float32, Located]],
+    parts: Sequence[tuple[Float32, SegmentDataset]],
     *,
     nearest: bool = False,
     seed: int = 0,
@@ -176,7 +141,7 @@ def fit_pair_head(
 
     Parameters
     ----------
-    parts : sequence of ((P, dim) float32, Located)
+    parts : sequence of ((P, dim) float32, SegmentDataset)
         Descriptors and their segments.
     nearest : bool
         True to draw half of the negatives from nearest descriptors.
@@ -184,15 +149,13 @@ def fit_pair_head(
     rng = np.random.default_rng([seed, 4])
     firsts, seconds, kinds = [], [], []
     for vectors, segments in parts:
-        pairs = random_pairs(segments, PAIRS // len(parts), rng)
-        firsts.append(vectors[pairs.first])
-        seconds.append(vectors[pairs.second])
-        kinds.append(np.where(pairs.same, 0, 1))
+        found = [*random_pairs(segments, PAIRS // len(parts), rng)]
         if nearest:
-            a, b = nearest_wrong(segments, vectors, PAIRS // len(parts), rng, threads)
-            firsts.append(vectors[a])
-            seconds.append(vectors[b])
-            kinds.append(np.full(len(a), 2))
+            found.append(nearest_wrong(segments, vectors, PAIRS // len(parts), rng, threads))
+        for kind, pairs in enumerate(found):
+            firsts.append(vectors[pairs[:, 0]])
+            seconds.append(vectors[pairs[:, 1]])
+            kinds.append(np.full(len(pairs), kind))
     first, second, kind = (torch.from_numpy(np.concatenate(x)) for x in (firsts, seconds, kinds))
     if (kind == 0).any() and (kind == 1).any():
         fit(head, first, second, kind)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from segloc.descriptors.pointset import POINTS
 from segloc.system import kernels
 from segloc.types import Float32
 
-from .config import TrainConfig, augment, reorder
-from .dataset import SegmentDataset, packed
+from .config import TrainConfig, points_of, reorder
+from .dataset import SegmentDataset, chunks, packed
 from .models import LAYERS, DescriptorNetwork, export, folded, neighbors_of
 from .pair_fitting import fit_pair_head, pair_loss
 from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, held_out_quality
@@ -41,8 +41,7 @@ class PointSetTask(Task):
         layers = LAYERS[self.config.network]
         return torch.from_numpy(prepared), *neighbors_of(prepared, layers, self.config.threads)
 
-    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
-        assert isinstance(network, DescriptorNetwork)
+    def loss(self, network: DescriptorNetwork, batch: Batch) -> Tensor:
         x = network(*batch.inputs).float()
         loss = LOSSES[self.config.loss](x, batch.same, batch.different)
         if self.config.pair_weight > 0 and self.config.pair_training == "joint":
@@ -56,25 +55,24 @@ class PointSetTask(Task):
             negatives.append(batch.different & batch.random[:, None] & batch.random)
         return pair_loss(logits, batch.same, *negatives)
 
-    def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
+    def describe(self, network: DescriptorNetwork, dataset: SegmentDataset) -> Float32:
         """Describe by the native network, as inference does."""
-        assert isinstance(network, DescriptorNetwork)
         table = [(x.points, x.neighbors, x.dilation, x.channels) for x in network.layers]
         native = kernels.Network(table, folded(network), POINTS)
         parts = [np.empty((0, native.dim), np.float32)]
-        for first in range(0, len(dataset), 1024):
-            indices = np.arange(first, min(first + 1024, len(dataset)))
+        for indices in chunks(len(dataset), 1024):
             prepared = prepared_points(dataset, indices, self.config)
             parts.append(native.describe(prepared, self.config.threads)[0])
         return np.concatenate(parts)
 
-    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
+    def finish(
+        self, network: DescriptorNetwork, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
         """Fit the heads to finished descriptors of held-out places.
 
         The quality head predicts whether the nearest one is correct; FC4 is fitted unless it was
         trained with the descriptor.
         """
-        assert isinstance(network, DescriptorNetwork)
         found = held_out_quality(self, network, training, held)
         fit_logistic(network.quality_head, found.vectors[found.known], found.right)
         if self.config.pair_weight > 0 and self.config.pair_training == "frozen":
@@ -86,14 +84,11 @@ class PointSetTask(Task):
                 threads=self.config.threads,
             )
 
-    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
-        assert isinstance(network, DescriptorNetwork)
+    def export(self, network: DescriptorNetwork, path: Path, card: Mapping[str, Any]) -> None:
         export(network, path, card, self.config.alignment, with_pairs=self.config.pair_weight > 0)
 
 
-def create(config: TrainConfig) -> PointSetTask:
-    """Return the task of "dsm" and "esm"."""
-    return PointSetTask(config)
+TASK = PointSetTask
 
 
 def prepared_points(
@@ -103,8 +98,6 @@ def prepared_points(
     rng: np.random.Generator | None = None,
 ) -> Float32:
     """Return segments as inputs of the network (B, 256, 3); augmented if a generator is given."""
-    parts = [dataset.segment(int(i)) for i in indices]
-    if rng is not None:
-        parts = [augment(part, config.augmentation, rng) for part in parts]
+    parts = points_of(dataset, indices, config.augmentation, rng)
     prepared = kernels.prepare_segments(*packed(parts), POINTS, config.alignment, config.threads)
     return reorder(prepared, config.sampler, rng or np.random.default_rng(config.seed))

@@ -26,8 +26,8 @@ from segloc.descriptors.weightfile import write_weights
 from segloc.system import kernels
 from segloc.types import Float32
 
-from .config import TrainConfig, augment
-from .dataset import SegmentDataset, packed
+from .config import TrainConfig, augment, points_of
+from .dataset import SegmentDataset, chunks, packed
 from .tasks import LOSSES, Batch, Inputs, Task, fit_logistic, held_out_quality
 
 DIM = 32
@@ -60,8 +60,7 @@ class ProfileNetwork(nn.Module):
 
     def forward(self, profile: Tensor) -> Tensor:
         """Return descriptors (B, DIM)."""
-        result: Tensor = self.output(self.features(profile))
-        return result
+        return self.output(self.features(profile))
 
 
 class ProfileTask(Task):
@@ -83,25 +82,23 @@ class ProfileTask(Task):
         x = network(*batch.inputs).float()
         return LOSSES[self.config.loss](x, batch.same, batch.different)
 
-    def finish(self, network: nn.Module, training: SegmentDataset, held: SegmentDataset) -> None:
+    def finish(
+        self, network: ProfileNetwork, training: SegmentDataset, held: SegmentDataset
+    ) -> None:
         """Fit the quality to the share of correct nearest descriptors, on held-out places."""
-        assert isinstance(network, ProfileNetwork)
         found = held_out_quality(self, network, training, held)
         rows = [np.empty((0, WIDTHS[-1]), np.float32)]
         with torch.inference_mode():
-            for first in range(0, len(found.known), _AT_ONCE):
-                some = found.known[first : first + _AT_ONCE]
+            for numbers in chunks(len(found.known), _AT_ONCE):
+                some = found.known[numbers]
                 rows.append(network.features(*self.inputs(found.dataset, some)).numpy())
         fit_logistic(network.quality_head, np.concatenate(rows), found.right)
 
-    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
-        assert isinstance(network, ProfileNetwork)
+    def export(self, network: ProfileNetwork, path: Path, card: Mapping[str, Any]) -> None:
         write_weights(path, KIND, folded(network), {"profile": str(PROFILE_VERSION)}, card)
 
 
-def create(config: TrainConfig) -> ProfileTask:
-    """Return the task of "profile"."""
-    return ProfileTask(config)
+TASK = ProfileTask
 
 
 def prepared_segments(
@@ -111,7 +108,7 @@ def prepared_segments(
     rng: np.random.Generator | None = None,
 ) -> PreparedSegments:
     """Return aligned and sampled segments with heights; augmented if a generator is given."""
-    parts = [dataset.segment(int(i)) for i in indices]
+    parts = points_of(dataset, indices, config.augmentation)
     heights = dataset.heights[indices].astype(np.float32)
     if rng is not None:
         changed = [augment(part, config.augmentation, rng) for part in parts]
@@ -126,7 +123,6 @@ def prepared_segments(
 def folded(network: ProfileNetwork) -> dict[str, Float32]:
     """Return the tensors of inference (cpp/perceptron.h); the quality is the last output."""
     norm = network.standardise
-    assert norm.running_mean is not None and norm.running_var is not None
     tensors = {
         "input.mean": norm.running_mean,
         "input.scale": 1.0 / torch.sqrt(norm.running_var + norm.eps),
@@ -134,8 +130,6 @@ def folded(network: ProfileNetwork) -> dict[str, Float32]:
         "output.bias": torch.cat([network.output.bias, network.quality_head.bias]),
     }
     for index, (layer, after) in enumerate(zip(network.hidden, network.norms, strict=True)):
-        assert isinstance(layer, nn.Linear) and isinstance(after, nn.BatchNorm1d)
-        assert after.running_mean is not None and after.running_var is not None
         scale = after.weight / torch.sqrt(after.running_var + after.eps)
         tensors[f"hidden.{index}.weight"] = layer.weight.T
         tensors[f"hidden.{index}.bias"] = layer.bias

@@ -16,8 +16,8 @@ from segloc.descriptors.segmap import VoxelShapes, prepare, save_weights
 from segloc.system import kernels
 from segloc.types import Float32, Segments
 
-from .config import TrainConfig, augment
-from .dataset import SegmentDataset, packed
+from .config import points_of
+from .dataset import SegmentDataset, chunks, packed
 from .tasks import Batch, Inputs, Task
 
 DIM = 64
@@ -66,8 +66,7 @@ class SegMapNetwork(nn.Module):
         x = functional.relu(self.conv3(x))
         x = torch.cat([x.permute(0, 2, 3, 4, 1).flatten(1), scales], dim=1)
         x = self.fc1_norm(functional.relu(self.fc1(x)))
-        descriptor: Tensor = functional.relu(self.fc2(functional.dropout(x, 0.5, self.training)))
-        return descriptor
+        return functional.relu(self.fc2(functional.dropout(x, 0.5, self.training)))
 
     def forward(self, grids: Tensor, scales: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return descriptors, class logits, and logits of the voxels' occupancy."""
@@ -94,9 +93,7 @@ class SegMapTask(Task):
         indices: NDArray[np.int64],
         rng: np.random.Generator | None = None,
     ) -> Inputs:
-        parts = [dataset.segment(int(i)) for i in indices]
-        if rng is not None:
-            parts = [augment(part, self.config.augmentation, rng) for part in parts]
+        parts = points_of(dataset, indices, self.config.augmentation, rng)
         shapes = voxelised(parts, self.config.threads)
         return torch.from_numpy(shapes.dense()), torch.from_numpy(shapes.scales)
 
@@ -108,27 +105,21 @@ class SegMapTask(Task):
         classes = functional.cross_entropy(logits.float(), batch.labels)
         return classes + _RECONSTRUCTION * rebuilt
 
-    def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
+    def describe(self, network: SegMapNetwork, dataset: SegmentDataset) -> Float32:
         """Describe by the native network, before weights are rounded for the file."""
-        assert isinstance(network, SegMapNetwork)
         native = kernels.VoxelNetwork(folded(network))
         parts = [np.empty((0, DIM), np.float32)]
-        for first in range(0, len(dataset), 1024):
-            chosen = range(first, min(first + 1024, len(dataset)))
-            shapes = voxelised([dataset.segment(i) for i in chosen], self.config.threads)
-            parts.append(
-                native.describe(shapes.voxels, shapes.offsets, shapes.scales, self.config.threads)
-            )
+        threads = self.config.threads
+        for chosen in chunks(len(dataset), 1024):
+            shapes = voxelised([dataset.segment(int(i)) for i in chosen], threads)
+            parts.append(native.describe(shapes.voxels, shapes.offsets, shapes.scales, threads))
         return np.concatenate(parts)
 
-    def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
-        assert isinstance(network, SegMapNetwork)
+    def export(self, network: SegMapNetwork, path: Path, card: Mapping[str, Any]) -> None:
         save_weights(path, folded(network), card)
 
 
-def create(config: TrainConfig) -> SegMapTask:
-    """Return the task of "segmap"."""
-    return SegMapTask(config)
+TASK = SegMapTask
 
 
 def voxelised(parts: list[Float32], threads: int) -> VoxelShapes:
@@ -142,7 +133,6 @@ def voxelised(parts: list[Float32], threads: int) -> VoxelShapes:
 def folded(network: SegMapNetwork) -> dict[str, Float32]:
     """Return the tensors of inference (cpp/voxel_network.h), with batch norm folded in."""
     norm = network.fc1_norm
-    assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)
     shift = norm.bias.double() - norm.running_mean.double() * scale
     fc2 = network.fc2.weight.double().T
@@ -155,6 +145,5 @@ def folded(network: SegMapNetwork) -> dict[str, Float32]:
     for name in ("conv1", "conv2", "conv3"):
         conv: nn.Conv3d = getattr(network, name)
         tensors[f"{name}.weight"] = conv.weight.permute(2, 3, 4, 1, 0)
-        assert conv.bias is not None
         tensors[f"{name}.bias"] = conv.bias
     return {name: t.float().contiguous().numpy() for name, t in tensors.items()}

@@ -20,7 +20,7 @@ from segloc.errors import ConfigError
 from segloc.types import Float32
 
 from .config import TrainConfig
-from .dataset import SegmentDataset
+from .dataset import SegmentDataset, chunks
 from .metrics import nearest_is_right
 
 Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -129,32 +129,19 @@ Inputs = tuple[Tensor, ...]
 
 @dataclass(frozen=True)
 class Batch:
-    """B segments as a network's input, with their relations.
+    """B segments as a network's input, with their relations."""
 
-    Attributes
-    ----------
-    inputs : tuple of tensors
-        Prepared by the task; the first axis of each is B.
-    labels : (B,) int64
-        Object numbers over the training set, from 0.
-    same, different : (B, B) bool
-        Pairs that are neither are ignored.
-    random : (B,) bool
-        True for segments of objects drawn at random rather than as hard ones.
-    """
-
-    inputs: Inputs
-    labels: Tensor
-    same: Tensor
+    inputs: Inputs  # prepared by the task; the first axis of each is B
+    labels: Tensor  # (B,) int64, object numbers over the training set, from 0
+    same: Tensor  # (B, B) bool; pairs that are neither same nor different are ignored
     different: Tensor
-    random: Tensor
+    random: Tensor  # (B,) bool; False for segments of objects drawn as hard ones
 
     def to(self, device: torch.device) -> Batch:
         """Move the batch to a device."""
-        others = (self.labels, self.same, self.different, self.random)
-        move = [t.to(device, non_blocking=True) for t in others]
-        inputs = tuple(t.to(device, non_blocking=True) for t in self.inputs)
-        return Batch(inputs, *move)
+        parts = (*self.inputs, self.labels, self.same, self.different, self.random)
+        *inputs, labels, same, different, random = (t.to(device, non_blocking=True) for t in parts)
+        return Batch(tuple(inputs), labels, same, different, random)
 
 
 class Task(ABC):
@@ -191,11 +178,6 @@ class Task(ABC):
     def export(self, network: nn.Module, path: Path, card: Mapping[str, Any]) -> None:
         """Write the weights file for inference."""
 
-    def encode(self, network: nn.Module, inputs: Inputs) -> Tensor:
-        """Return descriptors (B, dim) of prepared segments, by a network in evaluation mode."""
-        result: Tensor = network(*inputs)
-        return result
-
     def describe(self, network: nn.Module, dataset: SegmentDataset) -> Float32:
         """Return descriptors (P, dim) of all segments of a dataset."""
         device = next(network.parameters()).device
@@ -203,10 +185,9 @@ class Task(ABC):
         network.eval()
         parts = []
         with torch.inference_mode():
-            for first in range(0, len(dataset), 256):
-                indices = np.arange(first, min(first + 256, len(dataset)))
-                inputs = tuple(t.to(device) for t in self.inputs(dataset, indices))
-                parts.append(self.encode(network, inputs).float().cpu().numpy())
+            for indices in chunks(len(dataset), 256):
+                inputs = [t.to(device) for t in self.inputs(dataset, indices)]
+                parts.append(network(*inputs).float().cpu().numpy())
         network.train(was_training)
         return np.concatenate(parts)
 
@@ -219,10 +200,8 @@ class Task(ABC):
         """
 
 
-Factory = Callable[[TrainConfig], Task]
-
 MODULES = {"dsm": "pointset", "esm": "pointset", "profile": "profile", "segmap": "segmap"}
-"""Module of each network; listed without importing PyTorch."""
+"""Module of each network, with its ``TASK``."""
 
 
 def create_task(config: TrainConfig) -> Task:
@@ -230,30 +209,18 @@ def create_task(config: TrainConfig) -> Task:
     name = config.network
     if name not in MODULES:
         raise ConfigError(f"no network {name!r} to train; available: {', '.join(sorted(MODULES))}")
-    module = importlib.import_module(f"{__package__}.{MODULES[name]}")
-    factory: Factory = module.create
-    return factory(config)
+    task: Task = importlib.import_module(f"{__package__}.{MODULES[name]}").TASK(config)
+    return task
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Held-out segments, and whether their nearest descriptor is right.
+    """Held-out segments, and whether their nearest descriptor is right."""
 
-    Attributes
-    ----------
-    dataset : SegmentDataset
-        P segments.
-    vectors : (P, dim) float32
-    known : (K,) int64
-        Segments that another session contains.
-    right : (K,) float32
-        1 if the nearest descriptor of another session is of the same object, else 0.
-    """
-
-    dataset: SegmentDataset
-    vectors: Float32
-    known: NDArray[np.int64]
-    right: Float32
+    dataset: SegmentDataset  # P segments
+    vectors: Float32  # (P, dim)
+    known: NDArray[np.int64]  # (K,), segments that another session contains
+    right: Float32  # (K,), 1 if the nearest of another session is of the same object, else 0
 
 
 def held_out_quality(

@@ -186,7 +186,7 @@ def train(
     with Group(config.device) as group:
         run = _Run(task, training, validation, group, out.with_suffix(".checkpoint"))
         run.resume(progress)
-        run.loop(progress if group.leads else _silent)
+        run.loop(progress if group.leads else lambda _: None)
         if group.leads:
             model = run.best_model()
             task.finish(model, training, held)
@@ -202,10 +202,6 @@ def train(
     return run.best
 
 
-def _silent(_: str) -> None:
-    pass
-
-
 class _Run:
     """State of a training run."""
 
@@ -218,8 +214,7 @@ class _Run:
         checkpoint: Path,
     ) -> None:
         self.task, self.config, self.group = task, task.config, group
-        self.training, self.validation = training, validation
-        self.checkpoint = checkpoint
+        self.training, self.validation, self.checkpoint = training, validation, checkpoint
         self.batches = Batches(training, task, group.rank)
         objects = len(self.batches.groups)
         if objects < self.config.classes:
@@ -234,10 +229,8 @@ class _Run:
             weight_decay=self.config.weight_decay,
             foreach=True,
         )
-        self.step = 0
-        self.seconds = 0.0
-        self.best = Scores(0.0, -1.0, 0.0)
-        self.best_step = 0
+        self.step, self.seconds = 0, 0.0
+        self.best, self.best_step = Scores(0.0, -1.0, 0.0), 0
         self.best_state: dict[str, Tensor] = {}
 
     def loop(self, progress: Progress) -> None:
@@ -288,10 +281,8 @@ class _Run:
 
     def _precision(self) -> AbstractContextManager[Any]:
         """Return autocast; bfloat16 has the range of single precision, so no loss is scaled."""
-        kind = self.group.device.type
-        if self.config.precision == "bfloat16" or (
-            self.config.precision == "auto" and kind == "cuda"
-        ):
+        kind, precision = self.group.device.type, self.config.precision
+        if precision == "bfloat16" or (precision == "auto" and kind == "cuda"):
             return torch.autocast(kind, dtype=torch.bfloat16)
         return nullcontext()
 
@@ -360,24 +351,20 @@ class _Run:
         try:
             state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
             if not _agrees(state["config"], self.config):
-                raise DatasetError(
-                    f"{self.checkpoint}: belongs to a run with another configuration"
-                )
-            self._take_up(state)
+                another = "belongs to a run with another configuration"
+                raise DatasetError(f"{self.checkpoint}: {another}")
+            self.model.load_state_dict(state["model"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.step, self.seconds = state["step"], state["seconds"]
+            self.best, self.best_step = Scores(**state["best"]), state["best_step"]
+            self.best_state = state["best_state"]
+            self.batches.mistakable = state["mistakable"].cpu().numpy()
         except _UNREADABLE as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(":")
             raise DatasetError(
                 f"{self.checkpoint}: not the state of this run ({reason}); remove it to restart"
             ) from error
         progress(f"resuming from step {self.step}")
-
-    def _take_up(self, state: dict[str, Any]) -> None:
-        self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.seconds = state["step"], state["seconds"]
-        self.best, self.best_step = Scores(**state["best"]), state["best_step"]
-        self.best_state = state["best_state"]
-        self.batches.mistakable = state["mistakable"].cpu().numpy()
 
 
 def _agrees(saved: str, config: TrainConfig) -> bool:

@@ -13,6 +13,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("sklearn")
 
+from samples.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.bench.harness import Row  # noqa: E402
 from segloc_lab.evaluation.study import Study, Table  # noqa: E402
 from segloc_lab.studies.paper import domains as making  # noqa: E402
@@ -31,7 +32,6 @@ from segloc_lab.studies.paper.workspace import Workspace  # noqa: E402
 from segloc_lab.training import pair_fitting  # noqa: E402
 from segloc_lab.training.extract import Extract, sorted_extents  # noqa: E402
 from segloc_lab.training.labels import LabelConfig  # noqa: E402
-from segloc_lab.training.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.training.shards import Session, load_dataset, write_shard  # noqa: E402
 
 from segloc.errors import ConfigError, DatasetError  # noqa: E402

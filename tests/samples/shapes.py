@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from segloc_lab.training.dataset import SegmentDataset, packed
 
 from segloc.types import Float32, Float64
-
-from .dataset import SegmentDataset, packed
 
 _SPACING_M = 0.2
 
