@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from samples.executors import Walk
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import as_folder, run
 from segloc_lab.simulation import OdometryNoise
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.cli import main
 from segloc.datasets import Recording
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
+from segloc.io import read_trajectory, write_scan
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.loops.align import spread
 from segloc.loops.consistency import supported
@@ -149,29 +149,15 @@ def test_a_loop_needs_others_that_agree() -> None:
     assert not any(loop.accepted for loop in supported(chain, loops[:2], AlignConfig()))
 
 
-def _write(walk: Walk, folder: Path, seed: int) -> None:
-    folder.mkdir()
-    recording = drifted(walk, walk.poses, seed)
-    for i in range(len(walk)):
-        write_scan(folder / f"{i:04d}.npy", walk.scan(i).points)
-    write_tum(folder / "odometry.tum", Trajectory(walk.indices.astype(float), recording.poses))
-
-
 def test_the_command_writes_all_of_it(
-    walks: list[Walk],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    walks: list[Walk], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for k, walk in enumerate(walks):
-        _write(walk, tmp_path / walk.name, k)
+    folders = [
+        as_folder(tmp_path / walk.name, drifted(walk, walk.poses, k), "odometry.tum")
+        for k, walk in enumerate(walks)
+    ]
     out = tmp_path / "out"
-    folders = [str(tmp_path / walk.name) for walk in walks]
-    options = ["--poses", "odometry.tum", "--out", str(out), "--threads", "1"]
-    monkeypatch.setattr("sys.argv", ["segloc", "align", *folders, *options])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code in (0, None)
+    assert run("align", *folders, "--poses", "odometry.tum", "--out", out, "--threads", 1) == 0
     output = capsys.readouterr()
     assert "session 2 (other) has no loops" in " ".join(output.err.split())
     facts = json.loads((out / "alignment.json").read_text())
@@ -197,48 +183,29 @@ def test_the_command_writes_all_of_it(
     assert np.linalg.norm(answer.T_map_sensor[:3, 3] - poses.poses[7][:3, 3]) < 0.3
 
 
-def _refused(
-    folders: list[Path],
-    out: Path,
-    options: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> str:
-    """The one line that the command ends with; nothing is written."""
-    arguments = [*map(str, folders), "--out", str(out), *options]
-    monkeypatch.setattr("sys.argv", ["segloc", "align", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 1
-    assert not out.exists()
-    lines = capsys.readouterr().err.strip().split("segloc: ")
-    return " ".join(lines[-1].split())
-
-
 def test_a_broken_session_among_good_ones(
-    walks: list[Walk],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    walks: list[Walk], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, other, bare, void = (tmp_path / name for name in ("good", "other", "bare", "void"))
     for k, folder in enumerate((good, other)):
-        _write(walks[2], folder, k)
+        as_folder(folder, drifted(walks[2], walks[2].poses, k), "odometry.tum")
     bare.mkdir()
     write_scan(bare / "0.npy", walks[0].scan(0).points)
     void.mkdir()
     cut = sorted(other.glob("*.npy"))[-1]
     cut.write_bytes(cut.read_bytes()[:-7])
-    posed = ["--poses", str(good / "odometry.tum"), "--threads", "1"]
+    posed = ["--poses", good / "odometry.tum", "--threads", 1]
     for session, options, fault in (
         (bare, [], f"{good}: session 0 has no poses"),
         (bare, ["--poses", "odometry.tum"], "odometry.tum: no such file"),
-        (bare, ["--every", "0"], "every_m"),
+        (bare, ["--every", 0], "every_m"),
         (void, posed, f"{void}: no scans"),
         (other, posed, f"{cut}: "),
     ):
-        output = _refused([good, session], tmp_path / "out", options, monkeypatch, capsys)
-        assert fault.replace(" ", "") in output.replace(" ", "")
+        assert run("align", good, session, "--out", tmp_path / "out", *options) == 1
+        assert not (tmp_path / "out").exists()
+        output = "".join(capsys.readouterr().err.split("segloc: ")[-1].split())
+        assert fault.replace(" ", "") in output
 
 
 def test_blocks_hold_each_part_once_and_are_few() -> None:

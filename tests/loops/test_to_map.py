@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.walk import as_folder, run
 from segloc_lab.simulation import OdometryNoise
 
 from segloc import Config, MapMismatch, Scan, SegmentMap, align_to_map, build_map, geometry, sample
-from segloc.cli import main
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import Trajectory, read_trajectory, write_scan, write_tum
+from segloc.io import read_trajectory
 from segloc.sample import SampleDrive
-from segloc.types import Float64, Recording, Reposed
+from segloc.types import Float64, Reposed
 
 CONFIG = Config(threads=1)
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
@@ -74,22 +74,6 @@ def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: S
         align_to_map(prior_map, [], CONFIG)
 
 
-def _write(recording: Recording, folder: Path) -> None:
-    folder.mkdir()
-    for i in range(len(recording)):
-        write_scan(folder / f"{i:04d}.npy", recording.scan(i).points)
-    assert recording.poses is not None
-    write_tum(folder / "odometry.tum", Trajectory(np.arange(len(recording)) * 1.0, recording.poses))
-
-
-def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    argv = ["segloc", *arguments, "--poses", "odometry.tum", "--threads", "1"]
-    monkeypatch.setattr("sys.argv", argv)
-    with pytest.raises(SystemExit) as end:
-        main()
-    return int(end.value.code or 0)
-
-
 @pytest.mark.slow
 def test_the_commands(
     prior_map: SegmentMap,
@@ -101,28 +85,29 @@ def test_the_commands(
     monkeypatch.chdir(tmp_path)
     prior_map.save("site.segmap")
     before = Path("site.segmap").read_bytes()
-    _write(drifted(tuesday, 1), tmp_path / "tuesday")
-    _write(drifted(sample.load("elsewhere"), 4), tmp_path / "elsewhere")
+    as_folder(tmp_path / "tuesday", drifted(tuesday, 1), "odometry.tum")
+    as_folder(tmp_path / "elsewhere", drifted(sample.load("elsewhere"), 4), "odometry.tum")
+    posed = ("--poses", "odometry.tum", "--threads", 1)
 
-    assert _run(monkeypatch, "align", "site.segmap", "tuesday", "--out", "aligned") == 0
+    assert run("align", "site.segmap", "tuesday", "--out", "aligned", *posed) == 0
     assert "submaps agree" in capsys.readouterr().out
     poses = read_trajectory(Path("aligned/session_0.tum")).poses
     assert np.median(errors_m(poses, tuesday.truth)) < 0.3
     facts = json.loads(Path("aligned/alignment.json").read_text())
     assert facts["sessions"][0]["anchors_accepted"] > 20
 
-    assert _run(monkeypatch, "align", "site.segmap", "elsewhere", "--out", "none") == 1
+    assert run("align", "site.segmap", "elsewhere", "--out", "none", *posed) == 1
     assert "elsewhere does not meet the map" in capsys.readouterr().err
     assert not Path("none/session_0.tum").exists()
 
     update = ("map", "update", "site.segmap")
-    assert _run(monkeypatch, *update, "elsewhere", "--align", "--out", "site.segmap") == 1
+    assert run(*update, "elsewhere", "--align", "--out", "site.segmap", *posed) == 1
     assert "elsewhere does not meet the map" in capsys.readouterr().err
-    assert _run(monkeypatch, *update, "tuesday", "--out", "site.segmap") == 1
+    assert run(*update, "tuesday", "--out", "site.segmap", *posed) == 1
     assert "--align" in capsys.readouterr().err
     assert Path("site.segmap").read_bytes() == before
 
-    assert _run(monkeypatch, *update, "tuesday", "--align", "--out", "new.segmap") == 0
+    assert run(*update, "tuesday", "--align", "--out", "new.segmap", *posed) == 0
     assert "segments added" in capsys.readouterr().out
     new = SegmentMap.load("new.segmap")
     assert len(np.unique(new.session)) == 2
@@ -130,12 +115,6 @@ def test_the_commands(
     assert np.median(errors_m(session, tuesday.truth)) < 0.3
 
 
-@pytest.mark.slow
-def test_an_update_without_poses_names_the_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["segloc", "map", "update", "a", "b", "--out", "c"])
-    with pytest.raises(SystemExit):
-        main()
+def test_an_update_without_poses_names_the_remedy(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("map", "update", "a", "b", "--out", "c")
     assert "--align" in capsys.readouterr().err

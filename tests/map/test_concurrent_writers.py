@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import as_folder
 
 from segloc import Config, SegmentMap, build_map
-from segloc.io import Trajectory, write_scan, write_tum
 from segloc.system.files import replacing
 from segloc.system.locks import exclusive
+from segloc.types import as_recording
 
 SEGLOC = [sys.executable, "-c", "from segloc.cli import main; main()"]
 HOLD = """
@@ -41,15 +42,12 @@ with replacing(sys.argv[1]) as stream:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
     """A map of a plaza, and the walk as a folder of scans with poses."""
-    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=5)
+    folder, walk = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=5)
     config = Config.preset("geo").model_copy(update={"threads": 1})
-    build_map(run, config).save(folder / "site.segmap")
+    build_map(walk, config).save(folder / "site.segmap")
     for name, seed in (("one", 100), ("two", 200)):
-        (folder / name).mkdir()
-        for i in range(len(run)):
-            scan = plaza.scan(run.poses[i], seed=seed + i)
-            write_scan(folder / name / f"{i:04d}.npy", scan.points)
-        write_tum(folder / name / "poses.tum", Trajectory(run.indices.astype(float), run.poses))
+        scans = [plaza.scan(T, seed=seed + i) for i, T in enumerate(walk.poses)]
+        as_folder(folder / name, as_recording(scans))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Disks that fill, limits of the system, kills and Ctrl-C: one line, and nothing half-written."""
+"""Full devices, limits of the system and Ctrl-C: one line, and nothing half-written."""
 
 from __future__ import annotations
 
@@ -8,20 +8,18 @@ import resource
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import as_folder
 
 from segloc import Config, SegmentMap, build_map
 from segloc.errors import SeglocError
-from segloc.io import Trajectory, write_scan, write_tum
-from segloc.system.locks import exclusive
+from segloc.types import as_recording
 
 pytestmark = [
     pytest.mark.slow,
@@ -59,82 +57,13 @@ def assert_one_line(errors: str, match: str) -> None:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
-    folder, run = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=6)
+    folder, walk = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=6)
     config = Config.preset("geo").model_copy(update={"threads": 1})
-    build_map(run, config).save(folder / "site.segmap")
-    run.poses[:, 1, 3] += 1.0
-    build_map(run, config).save(folder / "other.segmap")
+    build_map(walk, config).save(folder / "site.segmap")
     for name, seed in (("one", 0), ("two", 50)):
-        (folder / name).mkdir()
-        for i in range(len(run)):
-            points = plaza.scan(run.poses[i], seed=seed + i).points
-            write_scan(folder / name / f"{i:04d}.npy", points)
-        write_tum(folder / name / "poses.tum", Trajectory(run.indices.astype(float), run.poses))
+        scans = [plaza.scan(T, seed=seed + i) for i, T in enumerate(walk.poses)]
+        as_folder(folder / name, as_recording(scans))
     return folder
-
-
-SAVING = """
-import sys
-from segloc import SegmentMap
-maps = [SegmentMap.load(path) for path in sys.argv[2:]]
-print("ready", flush=True)
-while True:
-    for each in maps:
-        each.save(sys.argv[1])
-"""
-
-
-def test_a_save_killed_at_any_time_leaves_a_whole_map_and_nothing_that_blocks(
-    tmp_path: Path,
-) -> None:
-    site = tmp_path / "site.segmap"
-    paths = [tmp_path / f"{segments}.segmap" for segments in (3, 5_000)]
-    for path in (site, *paths):
-        make_map(1, segments=5_000 if path.stem == "5000" else 3).save(path)
-    for delay_s in np.random.default_rng(0).uniform(0, 0.1, 3):
-        command = [sys.executable, "-c", SAVING, *map(str, (site, *paths))]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
-            assert child.stdout and child.stdout.readline() == "ready\n"
-            time.sleep(delay_s)
-            child.kill()
-        assert len(SegmentMap.load(site)) in (3, 5_000)
-    waited: list[None] = []
-    with exclusive(site, lambda: waited.append(None)):
-        make_map(1).save(site)
-    assert not waited
-    assert names(tmp_path) == sorted(["site.segmap", *(path.name for path in paths)])
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 64 kB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk is mounted by root alone")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
-
-
-def test_a_full_disk_leaves_the_old_map(small_disk: Path, tmp_path: Path) -> None:
-    site, large = small_disk / "site.segmap", make_map(1, segments=5000)
-    make_map(1).save(site)
-    before = site.read_bytes()
-    with pytest.raises(SeglocError, match=r"site\.segmap: cannot be written: no space left"):
-        large.save(site)
-    assert site.read_bytes() == before
-    assert names(small_disk) == ["site.segmap"]
-    large.save(tmp_path / "large.segmap")
-    with suppress(OSError), (small_disk / "filler").open("wb", buffering=0) as filler:
-        while filler.write(bytes(256)):  # what is merged is compact, and would fit
-            pass
-    code, errors = segloc(small_disk, "map", "merge", "site.segmap", "../large.segmap",
-                          "--out", "site.segmap", "--elsewhere")  # fmt: skip
-    assert code == 1
-    assert_one_line(errors, r"error: site\.segmap: cannot be written: no space left")
-    assert site.read_bytes() == before
-    assert names(small_disk) == ["filler", "site.segmap"]
 
 
 def test_a_device_that_is_full_is_refused(place: Path) -> None:
@@ -153,20 +82,15 @@ def test_a_device_that_is_full_is_refused(place: Path) -> None:
     assert "no space left" in done.stderr.lower()
 
 
-def limit(kind: int, amount: int) -> Callable[[], None]:
-    return lambda: resource.setrlimit(kind, (amount, amount))
-
-
 def test_a_limit_on_memory_is_said_in_a_line(tmp_path: Path) -> None:
     make_map(1, segments=1_500_000).save(tmp_path / "large.segmap")  # 114 MB
-    for megabytes in (520,):
-        code, errors = segloc(
-            tmp_path, "map", "merge", "large.segmap", "large.segmap", "--out", "out.segmap",
-            limits=limit(resource.RLIMIT_AS, megabytes << 20),
-        )  # fmt: skip
-        assert code == 1, errors
-        assert_one_line(errors, r"error: .*memory")
-        assert names(tmp_path) == ["large.segmap"]
+    code, errors = segloc(
+        tmp_path, "map", "merge", "large.segmap", "large.segmap", "--out", "out.segmap",
+        limits=lambda: resource.setrlimit(resource.RLIMIT_AS, (520 << 20, 520 << 20)),
+    )  # fmt: skip
+    assert code == 1, errors
+    assert_one_line(errors, r"error: .*memory")
+    assert names(tmp_path) == ["large.segmap"]
 
 
 COMMANDS = {

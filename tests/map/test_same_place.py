@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import run
 
-from segloc import Config, SegmentMap, build_map, cli, geometry
+from segloc import Config, SegmentMap, build_map, geometry
 from segloc.errors import MapMismatch
 from segloc.map.same_place import Meeting, check_same_place, meeting
 from segloc.map.voxel_cloud import VoxelCloud
@@ -18,10 +19,10 @@ CONFIG = Config.preset("geo").model_copy(update={"threads": 1})
 
 
 def plaza_map(seed: int, offset: Float64 | None = None) -> SegmentMap:
-    run = PlazaSequence(Plaza(seed), steps=10)
+    walk = PlazaSequence(Plaza(seed), steps=10)
     if offset is not None:
-        run.poses[:, :3, 3] += offset
-    return build_map(run, CONFIG)
+        walk.poses[:, :3, 3] += offset
+    return build_map(walk, CONFIG)
 
 
 def moved(prior_map: SegmentMap, T: Pose) -> SegmentMap:
@@ -47,20 +48,6 @@ def one() -> SegmentMap:
 @pytest.fixture(scope="module")
 def again() -> SegmentMap:
     return plaza_map(0, np.array([1.0, 2.0, 0.0]))
-
-
-def save(folder: Path, **maps: SegmentMap) -> list[str]:
-    for name, prior_map in maps.items():
-        prior_map.save(folder / f"{name}.segmap")
-    return [str(folder / f"{name}.segmap") for name in maps]
-
-
-def merge(*arguments: str) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["segloc", "map", "merge", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-    return int(end.value.code or 0)
 
 
 @pytest.mark.slow
@@ -104,6 +91,8 @@ def test_maps_of_a_row_need_no_order(tmp_path: Path) -> None:
     row = {
         name: plaza_map(0, np.array([x, 0.0, 0.0])) for name, x in (("a", -16), ("b", 16), ("c", 0))
     }
-    a, b, c = save(tmp_path, **row)
+    files = [tmp_path / f"{name}.segmap" for name in row]
+    for file, prior_map in zip(files, row.values(), strict=True):
+        prior_map.save(file)
     assert not meeting(row["a"], row["b"]).places
-    assert merge(a, b, c, "--out", str(tmp_path / "out.segmap")) == 0
+    assert run("map", "merge", *files, "--out", tmp_path / "out.segmap") == 0

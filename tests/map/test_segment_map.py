@@ -196,16 +196,24 @@ GOOD: dict[str, Any] = {
         ({"descriptors": Descriptors(np.zeros((2, DIM + 1), np.float32))}, "vectors"),
         ({"descriptors": Descriptors(np.full((2, DIM), np.nan, np.float32))}, "vectors"),
         ({"descriptors": Descriptors(np.zeros((2, DIM), np.float32), np.zeros(3))}, "quality"),
+        (
+            {"descriptors": Descriptors(np.zeros((2, DIM), np.float32), np.full(2, 1.5))},
+            "quality: row 0 has 1.5: outside 0 to 1",
+        ),
         ({"centroids": np.zeros((3, 3))}, "centroids"),
         ({"centroids": np.full((2, 3), np.inf)}, "centroids"),
+        ({"centroids": np.full((2, 3), 1e12)}, "centroids: row 0 has 1e"),
         ({"centroids": np.array([["a"] * 3] * 2)}, "centroids"),
         ({"sizes": [1.5, 2.0]}, "sizes"),
         ({"sizes": [1, 2**40]}, "sizes"),
+        ({"sizes": [1, -3]}, "sizes: row 1 has -3"),
         ({"session": 2**31}, "session"),
         ({"stamp": np.nan}, "stamps"),
         ({"cloud": np.zeros((5, 2))}, "cloud"),
         ({"cloud": np.zeros((5, 3), int)}, "cloud"),
         ({"cloud": np.full((5, 3), np.nan)}, "cloud"),
+        ({"cloud": np.full((5, 3), 1e12)}, "cloud: row 0 has 1e.*from its origin"),
+        ({"cloud": np.full((5, 3), 1e300)}, "not finite"),
     ],
 )
 def test_wrong_input_is_named_and_changes_nothing(change: dict[str, Any], fault: str) -> None:
@@ -252,7 +260,10 @@ def test_inputs_are_never_modified_or_kept() -> None:
     )
 
 
-@pytest.mark.parametrize("poses", [np.eye(4), np.eye(3)[None], 2 * np.eye(4)[None]])
+@pytest.mark.parametrize(
+    "poses",
+    [np.eye(4), np.eye(3)[None], 2 * np.eye(4)[None], np.diag([1.0, 1.0, -1.0, 1.0])[None]],
+)
 def test_a_wrong_trajectory_is_named_and_changes_nothing(poses: Any) -> None:
     prior_map = make_map(1)
     with pytest.raises(SeglocError, match=r"poses must be numbers|trajectory: row 0 is not"):

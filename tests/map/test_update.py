@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import as_folder, run
 from scipy.spatial import cKDTree
 
 from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
-from segloc.cli import main
 from segloc.errors import DatasetError, MapMismatch
-from segloc.io import Trajectory, write_scan, write_tum
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
@@ -110,9 +109,9 @@ def first() -> PlazaSequence:
 @pytest.fixture(scope="module")
 def later() -> PlazaSequence:
     """A walk on a parallel line, after a third of the boxes was removed."""
-    run = PlazaSequence(scene(changed=True), steps=8)
-    run.poses[:, 1, 3] += 2.0
-    return run
+    walk = PlazaSequence(scene(changed=True), steps=8)
+    walk.poses[:, 1, 3] += 2.0
+    return walk
 
 
 @pytest.fixture(scope="module")
@@ -177,22 +176,13 @@ def test_poses_of_another_frame_or_place_are_refused(
     assert len(joined) == len(prior_map) + counts.added
 
 
-def test_the_command(
-    later: PlazaSequence, prior_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "run"
-    folder.mkdir()
-    for i in range(len(later)):
-        write_scan(folder / f"{i:04d}.npy", later.scan(i).points)
-    write_tum(folder / "aligned.tum", Trajectory(later.indices.astype(float), later.poses))
-    prior_map.save(tmp_path / "old.segmap")
-    argv = ["segloc", "map", "update", "old.segmap", "run", "--poses", "aligned.tum"]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", [*argv, "--out", "new.segmap", "--max-missed", "1"])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code in (0, None)
-    new = SegmentMap.load("new.segmap")
+def test_the_command(later: PlazaSequence, prior_map: SegmentMap, tmp_path: Path) -> None:
+    folder = as_folder(tmp_path / "run", later, "aligned.tum")
+    old, out = tmp_path / "old.segmap", tmp_path / "new.segmap"
+    prior_map.save(old)
+    posed = ("--poses", "aligned.tum")
+    assert run("map", "update", old, folder, *posed, "--out", out, "--max-missed", 1) == 0
+    new = SegmentMap.load(out)
     assert len(np.unique(new.session)) == 2
     assert (new.missed == 0).all()
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from segloc import cli, geometry
-from segloc.io import Trajectory, write_tum
-from segloc.types import Float64, Scan
+from segloc.io import Trajectory, write_scan, write_tum
+from segloc.types import Float64, Recording, Scan
 
 from .plaza import Plaza, PlazaSequence
 
@@ -51,11 +51,19 @@ def written(
     most: int = FEW,
 ) -> Path:
     """A walk as a folder of scans."""
-    folder.mkdir()
     walk = Walk(points, most=most)
-    for i in range(len(walk)):
-        np.save(folder / f"{i:04d}.npy", walk.scan(i).points)
+    as_folder(folder, walk)
     write_tum(folder / "poses.tum", Trajectory(np.arange(len(walk)), poses(walk.poses)))
+    return folder
+
+
+def as_folder(folder: Path, recording: Recording, poses: str = "poses.tum") -> Path:
+    """A recording as a folder of scans and a file of its poses."""
+    folder.mkdir()
+    for i in range(len(recording)):
+        write_scan(folder / f"{i:04d}.npy", recording.scan(i).points)
+    assert recording.poses is not None
+    write_tum(folder / poses, Trajectory(np.arange(len(recording)), recording.poses))
     return folder
 
 

@@ -6,9 +6,8 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from functools import lru_cache, partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,10 +27,6 @@ from ..system.stage_times import Clock, StageTimes
 from ..tiles import TiledMap, holds_tiles
 from ..types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 
-if TYPE_CHECKING:
-    from ..proposals.proposer import Query
-
-
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One prior for all queries, one per query, or none."""
 QUERIES = 16
@@ -42,23 +37,6 @@ DEFAULT_ERROR_M, SIGMAS = 10.0, 3.0
 """Error assumed if the receiver reports none [m]; radius of a prior in standard deviations."""
 MAX_RADIUS_M = 500.0
 """Fixes that need a larger radius are ignored [m]."""
-
-
-class Locates(Protocol):
-    """A :class:`segloc.Localizer`, tiled or not."""
-
-    @property
-    def config(self) -> Config: ...
-    @property
-    def clock(self) -> Clock: ...
-    def describe(self, scans: LocalCloud, times: StageTimes | None = None) -> Query: ...
-    def locate(
-        self,
-        query: Query,
-        times: StageTimes | None = None,
-        deadline_ms: float | None = None,
-        near: Prior | None = None,
-    ) -> Localization: ...
 
 
 def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
@@ -86,7 +64,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
 
 
 def localize_sequence(
-    localizer: Locates,
+    localizer: Localizer,
     scans: Scanned,
     positions: Int64,
     progress: Callable[[int, int], None] | None = None,
@@ -152,44 +130,23 @@ def query_clouds(
         yield cloud, times
 
 
-@dataclass(frozen=True)
-class Place:
-    """Map and configuration of a run, opened once per process.
-
-    Attributes
-    ----------
-    where : str
-        Map file, or folder or URL of tiles.
-    config : Config
-    run : str
-        Unique per run, since maps may be replaced between runs.
-    """
-
-    where: str
-    config: Config
-    run: str
-
-
-@dataclass(frozen=True)
-class Part:
-    """Some queries of a recording: a repeatable task."""
-
-    place: Place
-    recording: Recording
-    positions: Int64
-    near: tuple[Prior | None, ...]
-
-
 @lru_cache(maxsize=2)
-def _opened(place: Place) -> Localizer:
-    tiled = holds_tiles(place.where)
-    prior_map = TiledMap(place.where) if tiled else SegmentMap.load(place.where)
-    return Localizer(prior_map, place.config)
+def _opened(where: str, config: Config, run: str) -> Localizer:
+    """Open a map once per process and run, since maps may be replaced between runs."""
+    prior_map = TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
+    return Localizer(prior_map, config)
 
 
-def _localized(part: Part) -> list[Localization]:
-    localizer = _opened(part.place)
-    return localize_sequence(localizer, part.recording, part.positions, near=part.near)
+def _localized(
+    where: str,
+    config: Config,
+    run: str,
+    recording: Recording,
+    part: tuple[Int64, Sequence[Prior | None]],
+) -> list[Localization]:
+    """Localize some queries of a recording, in any process; can be repeated."""
+    positions, near = part
+    return localize_sequence(_opened(where, config, run), recording, positions, near=near)
 
 
 def localize_parts(
@@ -222,15 +179,15 @@ def localize_parts(
     SeglocError
         As localizing does; and if a process was killed and its tasks cannot be repeated.
     """
-    place = Place(where, config.model_copy(update={"threads": 1}), uuid.uuid4().hex)
+    single = config.model_copy(update={"threads": 1})
+    localized = partial(_localized, where, single, uuid.uuid4().hex, recording)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
     priors, parts, done = each_prior(near, len(positions)), [], 0
     for chunk in chunks:
-        own = tuple(priors[done : done + len(chunk)])
-        parts.append(Part(place, recording, chunk, own))
+        parts.append((chunk, priors[done : done + len(chunk)]))
         done += len(chunk)
     found: dict[int, list[Localization]] = {}
-    for number, results in as_finished(_localized, parts, executor):
+    for number, results in as_finished(localized, parts, executor):
         found[number] = results
         if progress:
             progress(sum(map(len, found.values())), len(positions))

@@ -18,13 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..config import Config
-from ..errors import ConfigError, DatasetError
+from ..errors import ConfigError
 from ..types import Float64, Int64, Recording, Scanned, as_recording
 from .config import AlignConfig
 from .consistency import supported
-from .loops import Chain, Loop, Progress, edges_of, neighbours
+from .loops import Chain, Loop, edges_of, neighbours
 from .session_graph import SessionGraph
-from .submaps import Session
+from .submaps import Progress, Session
 from .tasks import Described, Stage, describe_all, find_loops, open_workspace, tie
 
 
@@ -104,7 +104,7 @@ def align_sessions(
     if not recordings:
         raise ConfigError("no sessions to align")
     opened = [as_recording(each) for each in recordings]
-    sessions = [_session(k, recording, settings) for k, recording in enumerate(opened)]
+    sessions = [Session.of(k, recording, settings) for k, recording in enumerate(opened)]
     chain = Chain.of(sessions, settings.part_m)
     with open_workspace(config, settings, executor, folder) as own:
         describe_all(own, _tasks(opened, sessions, settings), stage)
@@ -118,13 +118,6 @@ def align_sessions(
                 dense = tie(own, pairs, update)
             graph.tie_neighbours(dense)
     return _alignment(sessions, chain, graph)
-
-
-def _session(number: int, recording: Recording, settings: AlignConfig) -> Session:
-    try:
-        return Session.of(recording, settings)
-    except DatasetError as error:
-        raise DatasetError(f"session {number}: {error}") from error
 
 
 def _tasks(

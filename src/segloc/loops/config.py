@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydantic import Field
 
 from ..system.section import Section
+from ..types import Float64
 
 
 class AlignConfig(Section):
@@ -53,3 +55,7 @@ class AlignConfig(Section):
         8, ge=1, description="number of passes each submap is aligned to, the nearest first"
     )
     dense_rounds: int = Field(2, ge=0, description="number of dense passes")
+
+    def least_covariance(self) -> Float64:
+        """Return the smallest (6, 6) covariance of a loop, of rotation and translation."""
+        return np.diag(np.repeat([np.radians(self.loop_deg), self.loop_m], 3) ** 2)

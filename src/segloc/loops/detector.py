@@ -16,15 +16,15 @@ from ..frontend.local_cloud import odometry_pose
 from ..frontend.rolling_cloud import RollingCloud
 from ..frontend.segmentation import Segmenter
 from ..localizer import Localizer
-from ..map.build import View, add_view, empty_map
+from ..map.build import empty_map
 from ..map.segment_map import SegmentMap
 from ..proposals.proposer import Query
 from ..system.checks import checked_pose
-from ..types import Float64, LocalCloud, Pose, Scan
+from ..types import Float64, Pose, Scan
 from .config import AlignConfig
 from .consistency import supported
-from .loops import Chain, Loop, SubmapRegistration, registered
-from .submaps import Submap, make_submap
+from .loops import Chain, Loop, SubmapRegistration, loop_in_part, query_of
+from .submaps import Submap, add_submap
 
 
 class LoopConfig(AlignConfig):
@@ -113,11 +113,10 @@ class LoopDetector:
         self._growing: SegmentMap | None = None
         self._first = 0  # first node of the growing part
         self._count = self._scans = 0
-        self._travelled, self._last = 0.0, None
+        self._travelled = 0.0
+        self._last: Pose | None = None
         self._found: list[tuple[Loop, float]] = []
         self._told: set[tuple[int, int]] = set()
-
-    _last: Pose | None
 
     def __len__(self) -> int:
         """Number of keyframes kept."""
@@ -156,37 +155,38 @@ class LoopDetector:
 
     def _visit(self, number: int, T_odom_sensor: Pose) -> list[LoopClosure]:
         """Make a keyframe here, and search for loops."""
-        node, query = self._keyframe(number, T_odom_sensor)
+        node = self._keyframe(number, T_odom_sensor)
         self._nodes[self._count], self._submaps[self._count] = node, node.submap
+        query = query_of(node.submap)
         for part in self._near(node):
             self._look(part, query, self._count)
         self._count += 1
         return self._tell()
 
-    def _keyframe(self, number: int, T_odom_sensor: Pose) -> tuple[_Node, Query]:
-        T_odom_local, settings = geometry.levelled(T_odom_sensor), self.settings
-        cloud = self._long.cloud()
-        scene = self._segmenter.segment(cloud)
-        descriptors = self._descriptor.describe(scene.segments)
-        short = self._segmenter.segment(self._short.cloud())
-        self._grow(View(T_odom_local, float(number), scene), number)
-        assert self._growing is not None
-        add_view(self._growing, View(T_odom_local, float(number), scene), descriptors)
-        short_descriptors = self._descriptor.describe(short.segments)
-        add_view(self._growing, View(T_odom_local, float(number), short), short_descriptors)
-        radius = self.config.local_cloud.radius_m
-        submap = make_submap(T_odom_local, scene, descriptors, short, settings, radius)
+    def _keyframe(self, number: int, T_odom_sensor: Pose) -> _Node:
+        T_odom_local = geometry.levelled(T_odom_sensor)
+        submap = add_submap(
+            self._grown(T_odom_local),
+            self._descriptor,
+            T_odom_local,
+            number,
+            self._segmenter.segment(self._long.cloud()),
+            self._segmenter.segment(self._short.cloud()),
+            self.settings,
+            self.config.local_cloud.radius_m,
+        )
         T_local_sensor = geometry.inverse(T_odom_local) @ T_odom_sensor
-        level = LocalCloud(submap.scene.structure, np.eye(4))
-        node = _Node(number, self._travelled, T_local_sensor, submap)
-        return node, Query(level, submap.scene, descriptors)
+        return _Node(number, self._travelled, T_local_sensor, submap)
 
-    def _grow(self, view: View, number: int) -> None:
-        """Start the next part if the last is long enough; forget the oldest."""
+    def _grown(self, T_odom_local: Pose) -> SegmentMap:
+        """Return the map of the last part, or of the next one if that is long enough.
+
+        The oldest part is forgotten.
+        """
         first = self._nodes.get(self._first)
         ended = first and self._travelled - first.travelled >= self.settings.part_m
         if self._growing is not None and not ended:
-            return
+            return self._growing
         if self._growing is not None:
             prior_map = self._growing
             localizer = Localizer(prior_map, self.config) if len(prior_map) else None
@@ -194,8 +194,8 @@ class LoopDetector:
             if len(self._parts) > self.settings.max_parts:
                 self._forget(self._parts.popleft())
         self._first = self._count
-        origin = view.T_map_local[:3, 3]
-        self._growing = empty_map(self._descriptor, self.config, origin)
+        self._growing = empty_map(self._descriptor, self.config, T_odom_local[:3, 3])
+        return self._growing
 
     def _forget(self, part: _Part) -> None:
         for k in part.nodes:
@@ -217,18 +217,10 @@ class LoopDetector:
 
     def _look(self, part: _Part, query: Query, source: int) -> None:
         assert part.localizer is not None
-        answer = part.localizer.locate(query)
-        T_odom_local = answer.T_map_sensor  # here the sensor's frame is the local one
-        if T_odom_local is None:
-            return
         poses = np.stack([self._submaps[k].T_odom_local for k in part.nodes])
-        target = part.nodes[
-            int(np.linalg.norm(poses[:, :3, 3] - T_odom_local[:3, 3], axis=1).argmin())
-        ]
-        guess = geometry.inverse(self._submaps[target].T_odom_local) @ T_odom_local
-        loop = registered(target, source, guess, "found", self._register, self.settings)
-        if loop is not None and loop.accepted:
-            self._found.append((replace(loop, inliers=answer.inliers), answer.confidence))
+        found = loop_in_part(part.localizer, query, source, part.nodes, poses, self._register)
+        if found is not None and found[0].accepted:
+            self._found.append(found)
 
     def _tell(self) -> list[LoopClosure]:
         """Return new loops that enough others agree with."""

@@ -66,15 +66,7 @@ def blocks_of(known: int) -> list[range]:
 
 
 class PartsVote:
-    """Vote for the parts of a block that may match a submap.
-
-    Parameters
-    ----------
-    parts : list of SegmentMap
-        Parts of the block from :func:`thin`.
-    config : Config
-    settings : AlignConfig
-    """
+    """Vote for the parts of a block, as of :func:`thin`, that may match a submap."""
 
     def __init__(self, parts: list[SegmentMap], config: Config, settings: AlignConfig) -> None:
         self._count, self._spacing_m = len(parts), SPACING * settings.part_m

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import _native, geometry
-from ..config import Config
 from ..likelihood.registration import Aligner, Target
 from ..localizer import Localizer
-from ..map.segment_map import SegmentMap
 from ..proposals.proposer import Query
 from ..types import Float32, Float64, Int64, LocalCloud, Pose
 from .config import AlignConfig
 from .graph import Edges
 from .submaps import Session, Submap
 
-Progress = Callable[[int, int], None]
 _MIN_POINTS = 100
 _SAMPLE = 2000
 _PREPARED = 64
@@ -117,62 +114,32 @@ class Chain:
         return int(np.searchsorted(self.session, session))
 
 
-@dataclass(frozen=True)
-class PartNodes:
-    """Submaps of a part, and their T_odom_local, (K, 4, 4)."""
-
-    nodes: Int64
-    odometry: Float64
+def query_of(submap: Submap) -> Query:
+    """Return the query that localizes a submap, in its own level frame."""
+    level = LocalCloud(submap.scene.structure, np.eye(4))
+    return Query(level, submap.scene, submap.descriptors)
 
 
-def loops_in_part(
-    part: PartNodes,
-    prior_map: SegmentMap,
-    sources: Sequence[int],
-    submaps: Submaps,
-    config: Config,
-    settings: AlignConfig,
-) -> list[Loop]:
-    """Localize submaps in the map of a part."""
-    localizer = Localizer(prior_map, config)
-    register = SubmapRegistration(submaps, settings, config.threads)
-    loops = []
-    for source in sources:
-        submap = submaps[source]
-        level = LocalCloud(submap.scene.structure, np.eye(4))
-        answer = localizer.locate(Query(level, submap.scene, submap.descriptors))
-        T_odom_local = answer.T_map_sensor  # here the sensor's frame is the local one
-        if T_odom_local is None:
-            continue
-        distances = np.linalg.norm(part.odometry[:, :3, 3] - T_odom_local[:3, 3], axis=1)
-        nearest = int(distances.argmin())
-        guess = geometry.inverse(part.odometry[nearest]) @ T_odom_local
-        target = int(part.nodes[nearest])
-        loop = registered(target, source, guess, "found", register, settings)
-        if loop is not None:
-            loops.append(replace(loop, inliers=answer.inliers))
-    return loops
-
-
-def registered(
-    target: int,
+def loop_in_part(
+    localizer: Localizer,
+    query: Query,
     source: int,
-    guess: Pose,
-    kind: str,
+    nodes: Sequence[int],
+    poses: Float64,
     register: SubmapRegistration,
-    settings: AlignConfig,
-) -> Loop | None:
-    """Refine a loop by ICP; None if it fails."""
-    fit = register.fit(target, source, guess)
-    if fit is None:
+) -> tuple[Loop, float] | None:
+    """Localize a submap in the map of a part; return its loop and the confidence, None without.
+
+    The target is the nearest of the part's submaps ``nodes``, whose T_odom_local are ``poses``.
+    """
+    answer = localizer.locate(query)
+    T_odom_local = answer.T_map_sensor  # here the sensor's frame is the local one
+    if T_odom_local is None:
         return None
-    reason = ""
-    if fit.shift_m > settings.max_shift_m:
-        reason = f"ICP moved it by {fit.shift_m:.1f} m (at most {settings.max_shift_m:g} m)"
-    elif fit.shared < settings.min_shared:
-        reason = f"too little overlap ({fit.shared:.2f} < {settings.min_shared:.2f})"
-    T = fit.T_target_source
-    return Loop(target, source, T, fit.covariance, kind, 0, fit.shared, reason)
+    nearest = int(np.linalg.norm(poses[:, :3, 3] - T_odom_local[:3, 3], axis=1).argmin())
+    guess = geometry.inverse(poses[nearest]) @ T_odom_local
+    loop = register.loop(nodes[nearest], source, guess, "found")
+    return None if loop is None else (replace(loop, inliers=answer.inliers), answer.confidence)
 
 
 def best_per_pair(loops: list[Loop]) -> list[Loop]:
@@ -195,28 +162,6 @@ def edges_of(loops: list[Loop]) -> Edges:
     )
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Registration of one submap to another.
-
-    Attributes
-    ----------
-    T_target_source : (4, 4) float64
-    covariance : (6, 6) float64
-        Of rotation and translation, frame of the source.
-    shared : float
-        Overlap in [0, 1]: the larger of source on target and target on source, since
-        submaps differ in range.
-    shift_m : float
-        Distance by which registration moved the source [m].
-    """
-
-    T_target_source: Pose
-    covariance: Float64
-    shared: float
-    shift_m: float
-
-
 class Submaps(Protocol):
     """Submaps by number."""
 
@@ -231,22 +176,30 @@ class SubmapRegistration:
         self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
 
-    def fit(self, target: int, source: int, T_target_source: Pose) -> Fit | None:
-        """Align two submaps from an initial guess; None if ICP fails."""
+    def loop(self, target: int, source: int, guess: Pose, kind: str) -> Loop | None:
+        """Align two submaps from a guess of T_target_source; None if ICP fails.
+
+        The overlap is the larger of source on target and target on source, since submaps differ in
+        range.
+        """
         there, back = self._prepared(target), self._prepared(source)
         if min(len(there.surface), len(back.surface)) < _MIN_POINTS:
             return None
-        radius = self._config.near_m
-        found = self._aligner.register(there.target, back, T_target_source, radius)
+        config, radius = self._config, self._config.near_m
+        found = self._aligner.register(there.target, back, guess, radius)
         if found is None:
             return None
         T, shared = found.T_target_source, 0.0
         if min(there.count, back.count) >= _MIN_POINTS:
             other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
             shared = max(found.overlap, other)
-        # Lower bound of a loop's standard deviations.
-        least = np.repeat([np.radians(self._config.loop_deg), self._config.loop_m], 3) ** 2
-        return Fit(T, found.covariance + np.diag(least), shared, found.shift_m)
+        reason = ""
+        if found.shift_m > config.max_shift_m:
+            reason = f"ICP moved it by {found.shift_m:.1f} m (at most {config.max_shift_m:g} m)"
+        elif shared < config.min_shared:
+            reason = f"too little overlap ({shared:.2f} < {config.min_shared:.2f})"
+        covariance = found.covariance + config.least_covariance()
+        return Loop(target, source, T, covariance, kind, 0, shared, reason)
 
     def _prepare(self, k: int) -> _Prepared:
         submap = self._submaps[k]
@@ -270,8 +223,7 @@ class _Prepared:
         return self.target.surface
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """Two nearby submaps and an initial guess of T_target_source."""
 
     target: int
@@ -279,13 +231,11 @@ class Pair:
     guess: Pose
 
 
-def neighbours(
-    chain: Chain,
-    poses: Float64,
-    component: Int64,
-    settings: AlignConfig,
-) -> list[Pair]:
+def neighbours(chain: Chain, poses: Float64, component: Int64, settings: AlignConfig) -> list[Pair]:
     """Pair each submap with the nearest one of every other pass within reach.
+
+    A pass is a stretch of travel of one session. A submap has at most ``dense_passes`` pairs,
+    since passes grow with the sessions.
 
     Parameters
     ----------
@@ -294,28 +244,6 @@ def neighbours(
         Optimised poses of the submaps.
     component : (N,) int64
         Component of each submap; no pair crosses components.
-    """
-    return [
-        Pair(target, source, geometry.inverse(poses[target]) @ poses[source])
-        for target, source in _pairs(chain, poses, component, settings)
-    ]
-
-
-def tied(
-    pairs: Sequence[Pair], submaps: Submaps, settings: AlignConfig, threads: int
-) -> list[Loop]:
-    """Align pairs of submaps; skip those where ICP fails."""
-    register = SubmapRegistration(submaps, settings, threads)
-    loops = (registered(p.target, p.source, p.guess, "dense", register, settings) for p in pairs)
-    return [loop for loop in loops if loop is not None]
-
-
-def _pairs(
-    chain: Chain, poses: Float64, component: Int64, settings: AlignConfig
-) -> list[tuple[int, int]]:
-    """Find the nearest submap in every other pass (a stretch of travel of one session).
-
-    A submap has at most ``dense_passes`` pairs, since passes grow with the sessions.
     """
     positions = poses[:, :3, 3]
     a, b = cKDTree(positions).query_pairs(settings.dense_m, output_type="ndarray").T
@@ -335,4 +263,7 @@ def _pairs(
                 seen.add(key)
                 passes[source] += 1
                 pairs.add((min(i, j), max(i, j)))
-    return sorted(pairs)
+    return [
+        Pair(target, source, geometry.inverse(poses[target]) @ poses[source])
+        for target, source in sorted(pairs)
+    ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _native, geometry
 from ..config import Config
-from ..descriptors import create
+from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.segmentation import Segmentation, Segmenter
@@ -69,15 +69,19 @@ class Session:
     anchors: Int64
 
     @classmethod
-    def of(cls, recording: Recording, settings: AlignConfig) -> Session:
-        """Create a session from a recording with poses, without reading scans.
+    def of(cls, number: int, recording: Recording, settings: AlignConfig) -> Session:
+        """Create session ``number`` from a recording with poses, without reading scans.
 
         Raises
         ------
         DatasetError
-            If there are no scans, or no poses.
+            If there are no scans, or no poses; names the session.
         """
-        poses = posed(recording)
+        name, poses = f"session {number}: {recording.name}", recording.poses
+        if not len(recording):
+            raise DatasetError(f"{name}: no scans")
+        if poses is None:
+            raise DatasetError(f"{name}: alignment needs odometry: a pose for every scan")
         travelled = geometry.travelled(poses)
         anchors = geometry.stations(travelled, settings.every_m)
         return cls(recording.name, recording.indices, poses, travelled, anchors)
@@ -96,21 +100,6 @@ class Session:
         """Split the submaps into stretches of a length, short enough for little drift."""
         stretch = (self.node_travelled // length_m).astype(np.int64)
         return np.split(np.arange(len(self.anchors)), np.flatnonzero(np.diff(stretch)) + 1)
-
-
-def posed(recording: Recording) -> Float64:
-    """Return the poses of a session's odometry, (N, 4, 4).
-
-    Raises
-    ------
-    DatasetError
-        If there are no scans, or no poses.
-    """
-    if not len(recording):
-        raise DatasetError(f"{recording.name}: no scans")
-    if recording.poses is None:
-        raise DatasetError(f"{recording.name}: alignment needs odometry: a pose for every scan")
-    return recording.poses
 
 
 def describe_session(
@@ -133,7 +122,7 @@ def describe_session(
         part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
         submaps = []
         for anchor in session.anchors[nodes]:
-            submaps.append(_submap(reader, int(anchor), settings, part))
+            submaps.append(reader.submap(int(anchor), settings, part))
             done += 1
             if progress:
                 progress(done, len(session.anchors))
@@ -160,35 +149,42 @@ class Reader:
         scans = self.window(anchor, length_m)
         return self.accumulator.gather([self.read(i) for i in scans], anchor - scans.start)
 
-    def view(self, anchor: int, length_m: float) -> tuple[Segmentation, Descriptors]:
-        scene = self.segmenter.segment(self.cloud(anchor, length_m))
-        return scene, self.descriptor.describe(scene.segments)
+    def submap(self, anchor: int, settings: AlignConfig, part: SegmentMap) -> Submap:
+        T_odom_local = geometry.levelled(self.poses[anchor])
+        local = self.config.local_cloud
+        return add_submap(
+            part,
+            self.descriptor,
+            T_odom_local,
+            anchor,
+            self.segmenter.segment(self.cloud(anchor, local.window_m)),
+            self.segmenter.segment(self.cloud(anchor, settings.submap_m)),
+            settings,
+            local.radius_m,
+        )
 
 
-def _submap(reader: Reader, anchor: int, settings: AlignConfig, prior_map: SegmentMap) -> Submap:
-    T_odom_local = geometry.levelled(reader.poses[anchor])
-    scene, descriptors = reader.view(anchor, reader.config.local_cloud.window_m)
-    short, short_descriptors = reader.view(anchor, settings.submap_m)
-    for seen, described in ((scene, descriptors), (short, short_descriptors)):
-        add_view(prior_map, View(T_odom_local, float(anchor), seen), described)
-    radius_m = reader.config.local_cloud.radius_m
-    return make_submap(T_odom_local, scene, descriptors, short, settings, radius_m)
-
-
-def make_submap(
+def add_submap(
+    part: SegmentMap,
+    descriptor: Descriptor,
     T_odom_local: Pose,
+    number: int,
     scene: Segmentation,
-    descriptors: Descriptors,
     short: Segmentation,
     settings: AlignConfig,
     radius_m: float,
 ) -> Submap:
-    """Build a submap from a query-sized cloud and a shorter one."""
-    structure = _within(scene.structure, radius_m)
+    """Build the submap of a scan from a query-sized cloud and a shorter one.
+
+    Both are added to the map of its part, with the scan's number as their stamp.
+    """
+    described = [descriptor.describe(each.segments) for each in (scene, short)]
+    for seen, descriptors in zip((scene, short), described, strict=True):
+        add_view(part, View(T_odom_local, float(number), seen), descriptors)
+    structure, radius = _within(scene.structure, radius_m), settings.icp_radius
     lean = Segmentation(_without_points(scene.segments), structure, scene.ground)
-    radius = settings.icp_radius
     aligned = _within(short.structure, radius), _within(short.surface, radius)
-    return Submap(T_odom_local, lean, descriptors, *aligned)
+    return Submap(T_odom_local, lean, described[0], *aligned)
 
 
 def _without_points(segments: Segments) -> Segments:

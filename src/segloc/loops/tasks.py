@@ -9,23 +9,34 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..config import Config
 from ..errors import DatasetError
 from ..frontend.segmentation import Segmentation
+from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..system.files import folder_in, replacing
 from ..system.processes import all_of
-from ..types import Descriptors, Recording, Segments
+from ..types import Descriptors, Float64, Recording, Segments
 from .config import AlignConfig
 from .growing_map import PartsVote, blocks_of, searchable_parts, thin
-from .loops import Chain, Loop, Pair, PartNodes, Progress, best_per_pair, loops_in_part, tied
-from .submaps import Session, Submap, describe_session
+from .loops import (
+    Chain,
+    Loop,
+    Pair,
+    SubmapRegistration,
+    best_per_pair,
+    loop_in_part,
+    query_of,
+)
+from .submaps import Progress, Session, Submap, describe_session
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 _VOTERS, _PAIRS = 32, 64
 """Number of submaps, and of pairs of them, per task."""
@@ -34,26 +45,25 @@ _CACHED_SUBMAPS, _CACHED_MAPS = 256, 2
 
 @dataclass(frozen=True)
 class Workspace:
-    """Store, settings and executor of a run.
-
-    Attributes
-    ----------
-    store : SubmapStore
-        Shared by all tasks.
-    config : Config
-    settings : AlignConfig
-    executor : Executor or None
-        None for this process.
-    """
+    """Store shared by all tasks, settings and executor of a run; None for this process."""
 
     store: SubmapStore
     config: Config
     settings: AlignConfig
     executor: Executor | None = None
 
-    def on_its_own(self) -> Workspace:
-        """Return a copy for a task, without the executor."""
-        return replace(self, executor=None)
+    def all_of(
+        self,
+        work: Callable[[Workspace, Task], Result],
+        tasks: Sequence[Task],
+        progress: Progress | None = None,
+    ) -> list[Result]:
+        """Return the results of tasks, each of which has the workspace without the executor."""
+        return all_of(partial(work, replace(self, executor=None)), tasks, self.executor, progress)
+
+    def registration(self) -> SubmapRegistration:
+        """Return the registration of stored submaps."""
+        return SubmapRegistration(self.store, self.settings, self.config.threads)
 
 
 @contextmanager
@@ -115,7 +125,7 @@ def describe_all(workspace: Workspace, tasks: Sequence[Described], stage: Stage)
     """Store all sessions."""
     if workspace.executor is not None:
         with stage("Describing sessions") as update:
-            all_of(partial(describe, workspace.on_its_own()), tasks, workspace.executor, update)
+            workspace.all_of(describe, tasks, update)
         return
     for task in tasks:
         with stage(f"Describing session {task.number + 1} of {len(tasks)}") as update:
@@ -134,11 +144,10 @@ def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = N
         Localized and refined loops, accepted or not, at most one per pair of submaps.
     """
     tasks = [
-        (k, PartNodes(chain.parts[k], chain.odometry[chain.parts[k]]), sources)
+        (k, chain.parts[k].tolist(), chain.odometry[chain.parts[k]], sources)
         for k, sources in _searched(workspace, chain).items()
     ]
-    look = partial(_loops, workspace.on_its_own())
-    found = all_of(look, tasks, workspace.executor, progress)
+    found = workspace.all_of(_loops, tasks, progress)
     return best_per_pair([loop for loops in found for loop in loops])
 
 
@@ -158,7 +167,7 @@ def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
         for k in range(0, len(sources), _VOTERS * len(block))
     ]
     ballots: dict[int, list[tuple[int, int]]] = {}
-    for votes in all_of(partial(_votes, workspace.on_its_own()), tasks, workspace.executor):
+    for votes in workspace.all_of(_votes, tasks):
         for source, part, inliers in votes:
             ballots.setdefault(source, []).append((-inliers, part))
     for source, ballot in ballots.items():
@@ -179,13 +188,18 @@ def _votes(workspace: Workspace, task: tuple[range, list[int]]) -> list[tuple[in
     ]
 
 
-def _loops(workspace: Workspace, task: tuple[int, PartNodes, list[int]]) -> list[Loop]:
-    part, nodes, sources = task
+def _loops(workspace: Workspace, task: tuple[int, list[int], Float64, list[int]]) -> list[Loop]:
+    """Localize submaps in the map of a part: its number, submaps and their poses, the sources."""
+    part, nodes, poses, sources = task
     prior_map = workspace.store.map(f"part_{part}")
     if not len(prior_map):
         return []
-    config, settings = workspace.config, workspace.settings
-    return loops_in_part(nodes, prior_map, sources, workspace.store, config, settings)
+    localizer, register = Localizer(prior_map, workspace.config), workspace.registration()
+    found = [
+        loop_in_part(localizer, query_of(workspace.store[k]), k, nodes, poses, register)
+        for k in sources
+    ]
+    return [each[0] for each in found if each is not None]
 
 
 # --- neighbours -> dense loops --------------------------------------------------------------------
@@ -196,12 +210,14 @@ def tie(
 ) -> list[Loop]:
     """Align pairs of submaps; skip those where ICP fails."""
     tasks = [pairs[k : k + _PAIRS] for k in range(0, len(pairs), _PAIRS)]
-    found = all_of(partial(_tied, workspace.on_its_own()), tasks, workspace.executor, progress)
+    found = workspace.all_of(_tied, tasks, progress)
     return [loop for loops in found for loop in loops]
 
 
 def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
-    return tied(pairs, workspace.store, workspace.settings, workspace.config.threads)
+    register = workspace.registration()
+    loops = [register.loop(*pair, "dense") for pair in pairs]
+    return [loop for loop in loops if loop is not None]
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ import numpy as np
 
 from .. import geometry
 from ..config import Config
-from ..errors import ConfigError, DatasetError, MapMismatch
+from ..errors import ConfigError, MapMismatch
 from ..localizer import InTiles, Localizer
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Int64, Recording, Scanned, as_recording
 from .align import silent, spread
 from .config import AlignConfig
 from .consistency import supported
-from .loops import Chain, Loop, Progress
+from .loops import Chain, Loop
 from .session_graph import SessionGraph
-from .submaps import Reader, Session
+from .submaps import Progress, Reader, Session
 from .tasks import Stage
 
 _MAP = 0  # node number
@@ -108,14 +108,11 @@ def align_to_map(
 
 def _session(k: int, recording: Recording, settings: AlignConfig) -> Session:
     """Split a recording into submaps, closer together if it is short."""
-    try:
-        session = Session.of(recording, settings)
-        if len(recording) > 1 and len(session.anchors) < _SUBMAPS and session.travelled[-1] > 0:
-            closer = min(settings.every_m, float(session.travelled[-1]) / _SUBMAPS)
-            session = Session.of(recording, settings.model_copy(update={"every_m": closer}))
-        return session
-    except DatasetError as error:
-        raise DatasetError(f"session {k}: {error}") from error
+    session = Session.of(k, recording, settings)
+    if len(recording) > 1 and len(session.anchors) < _SUBMAPS and session.travelled[-1] > 0:
+        closer = min(settings.every_m, float(session.travelled[-1]) / _SUBMAPS)
+        session = Session.of(k, recording, settings.model_copy(update={"every_m": closer}))
+    return session
 
 
 def _localized(
@@ -127,7 +124,6 @@ def _localized(
 ) -> list[Loop]:
     """Localize submaps in the map; return loops from the map's node."""
     reader, loops = Reader(recording, session.poses, localizer.config), []
-    least = np.repeat([np.radians(settings.loop_deg), settings.loop_m], 3) ** 2
     for number, anchor in enumerate(session.anchors, 1):
         cloud = reader.cloud(int(anchor), localizer.config.local_cloud.window_m)
         answer = localizer.locate(localizer.describe(cloud))
@@ -142,7 +138,7 @@ def _localized(
                 _MAP,
                 number,
                 answer.T_map_sensor @ T_sensor_local,
-                covariance + np.diag(least),
+                covariance + settings.least_covariance(),
                 "found",
                 answer.inliers,
                 answer.overlap,

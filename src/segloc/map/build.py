@@ -37,7 +37,7 @@ def build_map(
     *,
     poses: ArrayLike | None = None,
     every_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     adapt: bool = True,
 ) -> SegmentMap:
     """Build a map from scans with poses.
@@ -163,13 +163,7 @@ def add_view(
 ) -> None:
     """Add a view with the descriptors of its segments to a map of one session.
 
-    Parameters
-    ----------
-    prior_map : SegmentMap
-    view : View
-    descriptors : Descriptors
-    with_cloud : bool
-        True to add the view's surface, against which poses are verified.
+    ``with_cloud`` also adds the view's surface, against which poses are verified.
     """
     segments = view.scene.segments
     surface = view.scene.surface if with_cloud else np.empty((0, 3))
@@ -188,7 +182,7 @@ def map_views(
     config: BuildConfig,
     *,
     every_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Iterator[View]:
     """Yield the views that :func:`build_map` describes, along the trajectory.
 
@@ -238,16 +232,6 @@ def _plan(poses: np.ndarray, config: BuildConfig, every_m: float | None) -> list
     return sorted(plan, key=lambda item: item[0])
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Recording to map; ``out`` is the file of its map, None to return it."""
-
-    recording: Recording
-    config: BuildConfig
-    every_m: float | None
-    out: Path | None
-
-
 def build_merged_map(
     recordings: Sequence[Recording],
     config: BuildConfig,
@@ -295,26 +279,29 @@ def build_merged_map(
     with folder_in(folder if executor else None, ".segloc-parts-") as parts:
         config = adapted_to_view(config, recordings)
         own = config.model_copy(update={"threads": 1}) if executor else config
-        files = [parts / f"{k}.segmap" if executor else None for k in range(len(recordings))]
+        mapped = partial(_mapped, own, every_m, None if executor else views)
         tasks = [
-            _Task(recording, own, every_m, file)
-            for recording, file in zip(recordings, files, strict=True)
+            (recording, parts / f"{k}.segmap" if executor else None)
+            for k, recording in enumerate(recordings)
         ]
-        mapped = _mapped if executor else partial(_mapped, views=views)
         found = all_of(mapped, tasks, executor, progress)
         maps = [m if isinstance(m, SegmentMap) else SegmentMap.load(m) for m in found]
     return maps[0] if len(maps) == 1 else compacted(_merged(maps), config.mapping.compact)
 
 
-def _mapped(task: _Task, views: Progress | None = None) -> SegmentMap | Path:
-    """Map one recording in any process; return the map or its file."""
-    prior_map = build_map(
-        task.recording, task.config, every_m=task.every_m, progress=views, adapt=False
-    )
-    if task.out is None:
+def _mapped(
+    config: BuildConfig,
+    every_m: float | None,
+    views: Progress | None,
+    task: tuple[Recording, Path | None],
+) -> SegmentMap | Path:
+    """Map one recording in any process; return the map, or the file it is written to."""
+    recording, out = task
+    prior_map = build_map(recording, config, every_m=every_m, progress=views, adapt=False)
+    if out is None:
         return prior_map
-    prior_map.save(task.out)
-    return task.out
+    prior_map.save(out)
+    return out
 
 
 def _merged(maps: Sequence[SegmentMap]) -> SegmentMap:

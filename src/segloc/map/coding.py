@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import weakref
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from math import prod
 from typing import Annotated, Any, Literal
 
@@ -72,10 +73,12 @@ class OctreeRecipe(Section):
     )
 
 
-Recipe = Annotated[LatticeRecipe | PaletteRecipe | OctreeRecipe, Field(discriminator="kind")]
-Recipes = Mapping[str, LatticeRecipe | PaletteRecipe | OctreeRecipe]
+Recipe = LatticeRecipe | PaletteRecipe | OctreeRecipe
+Recipes = Mapping[str, Recipe]
 
-RECIPES: TypeAdapter[Recipes] = TypeAdapter(dict[str, Recipe])
+RECIPES: TypeAdapter[Recipes] = TypeAdapter(
+    dict[str, Annotated[Recipe, Field(discriminator="kind")]]
+)
 
 
 def recipes_of(text: str) -> Recipes:
@@ -102,12 +105,16 @@ def packed_arrays(
     """Pack all arrays except the origin; return None if one cannot be packed or all are empty."""
     origin = arrays["origin"]
     data: dict[str, Bytes] = {}
-    recipes: dict[str, LatticeRecipe | PaletteRecipe | OctreeRecipe] = {}
+    recipes: dict[str, Recipe] = {}
     size = 0
     # First those that show soonest whether a map is on lattices.
     for name in sorted(arrays.keys() - {"origin"}, key=lambda n: (n != "cloud", n != "vectors", n)):
         array = arrays[name]
-        found = _octree(array, origin, cloud_voxel) if name == "cloud" else _column(name, array)
+        found: tuple[bytes, Recipe] | None
+        if name == "cloud":
+            found = _octree(array, origin, cloud_voxel)
+        else:
+            found = _palette(array) if name == "stamps" else _lattice(array)
         if found is None:
             return None
         data[name], recipes[name] = np.frombuffer(found[0], np.uint8), found[1]
@@ -134,10 +141,9 @@ class Stored:
         Size in memory.
     """
 
-    nbytes: int
-
-    def __init__(self, rows: int) -> None:
-        self._rows = rows
+    def __init__(self, rows: int, nbytes: int, unpack: Callable[[], Array]) -> None:
+        self.nbytes = nbytes
+        self._rows, self._unpack = rows, unpack
         self._array: weakref.ref[Array] | None = None
 
     def __len__(self) -> int:
@@ -156,13 +162,10 @@ class Stored:
         """
         array = None if self._array is None else self._array()
         if array is None:
-            array = self._unpacked()
+            array = self._unpack()
             array.flags.writeable = False
             self._array = weakref.ref(array)
         return array
-
-    def _unpacked(self) -> Array:
-        raise NotImplementedError
 
 
 Part = Array | Stored
@@ -171,18 +174,6 @@ Part = Array | Stored
 def array_of(part: Part) -> Array:
     """Return an array, unpacked if it is stored in few bytes."""
     return part.array() if isinstance(part, Stored) else part
-
-
-class StoredCloud(Stored):
-    """Points (N, 3) float32 as an octree."""
-
-    def __init__(self, data: bytes, recipe: OctreeRecipe, origin: Float64, voxel: float) -> None:
-        super().__init__(recipe.shape[0])
-        self._data, self._recipe, self._grid = data, recipe, (origin, voxel)
-        self.nbytes = len(data)
-
-    def _unpacked(self) -> Array:
-        return _from_octree(self._data, self._recipe, *self._grid)
 
 
 class Coded(Stored):
@@ -197,10 +188,10 @@ class Coded(Stored):
         columns = prod(recipe.shape[1:])
         if not len(recipe.low) == len(recipe.exponents) == columns:
             raise CodingError("coded with another width")
-        super().__init__(recipe.shape[0])
         self.codes = unpacked(data, recipe.shape[0], columns, recipe.width)
         self._recipe, self._dtype = recipe, np.dtype(dtype)
-        self.nbytes = self.codes.nbytes
+        unpack = partial(_numbers, self.codes, recipe, self._dtype)
+        super().__init__(recipe.shape[0], self.codes.nbytes, unpack)
 
     def lattice(self) -> tuple[Float32, Float32] | None:
         """Return base and step of each column, exact for base + code * step; None if not."""
@@ -215,29 +206,9 @@ class Coded(Stored):
         """Return some rows of the array, (K, C)."""
         return _numbers(self.codes[chosen], self._recipe, self._dtype)
 
-    def _unpacked(self) -> Array:
-        return _numbers(self.codes, self._recipe, self._dtype).reshape(self._recipe.shape)
-
-
-class Palette(Stored):
-    """Distinct numbers, and the index of each row."""
-
-    def __init__(self, data: bytes, recipe: PaletteRecipe) -> None:
-        super().__init__(recipe.shape[0])
-        self._values, self._index = _palette_of(data, recipe)
-        self.nbytes = self._values.nbytes + self._index.nbytes
-
-    def _unpacked(self) -> Array:
-        found: Float64 = self._values[self._index]
-        return found
-
 
 def stored_array(
-    data: Bytes,
-    recipe: LatticeRecipe | PaletteRecipe | OctreeRecipe,
-    dtype: str,
-    origin: Float64,
-    cloud_voxel: float,
+    data: Bytes, recipe: Recipe, dtype: str, origin: Float64, cloud_voxel: float
 ) -> Stored:
     """Return a packed array by its recipe.
 
@@ -246,19 +217,17 @@ def stored_array(
     CodingError
         If the data do not match the recipe.
     """
+    raw, rows = data.tobytes(), recipe.shape[0]
     if isinstance(recipe, OctreeRecipe):
-        return StoredCloud(data.tobytes(), recipe, origin, cloud_voxel)
+        return Stored(rows, len(raw), partial(_from_octree, raw, recipe, origin, cloud_voxel))
     if isinstance(recipe, PaletteRecipe):
-        return Palette(data.tobytes(), recipe)
-    return Coded(data.tobytes(), recipe, dtype)
-
-
-def _column(name: str, array: Array) -> tuple[bytes, LatticeRecipe | PaletteRecipe] | None:
-    return _palette(array) if name == "stamps" else _lattice(array)
+        values, index = _palette_of(raw, recipe)
+        return Stored(rows, values.nbytes + index.nbytes, partial(_selected, values, index))
+    return Coded(raw, recipe, dtype)
 
 
 def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
-    rows = _as_rows(array)
+    rows = array.reshape(len(array), prod(array.shape[1:]))
     exponents = exponents_of(rows)
     with np.errstate(over="ignore"):
         numbers = np.ldexp(rows.astype(np.float64), -exponents)
@@ -285,7 +254,7 @@ def _numbers(codes: NDArray[Any], recipe: LatticeRecipe, dtype: np.dtype[Any]) -
         numbers *= np.ldexp(1.0, np.array(recipe.exponents)).astype(exact)
         if whole and not (np.abs(numbers) < 2.0**31).all():
             raise CodingError("numbers out of range")
-        return numbers.astype(dtype, copy=False)
+        return numbers.astype(dtype, copy=False).reshape(len(codes), *recipe.shape[1:])
 
 
 def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
@@ -294,6 +263,10 @@ def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
     width = width_of(codes)
     recipe = PaletteRecipe(shape=array.shape, width=width, values=len(values))
     return values.astype("<f8").tobytes() + packed(codes, width), recipe
+
+
+def _selected(values: Array, rows: Array) -> Array:
+    return values[rows]
 
 
 def _palette_of(data: bytes, recipe: PaletteRecipe) -> tuple[Float64, NDArray[Any]]:
@@ -357,10 +330,6 @@ def _as_bits(parts: Bytes, bits: int) -> bytes:
     return np.packbits(each.reshape(-1), bitorder="little").tobytes()
 
 
-def _as_rows(array: Array) -> Array:
-    return array.reshape(len(array), prod(array.shape[1:]))
-
-
 class CodingError(Exception):
     """Packed data do not match their recipe; one line."""
 
@@ -373,10 +342,10 @@ def width_of(codes: Int64) -> int:
 
 def packed(codes: Int64, width: int) -> bytes:
     """Pack (P, C) numbers of ``width`` bytes."""
-    numbers = codes.astype(_unsigned(width))
-    steps = np.diff(numbers, axis=0, prepend=numbers.dtype.type(0)).view(_signed(width))
+    numbers = codes.astype(f"<u{width}")
+    steps = np.diff(numbers, axis=0, prepend=numbers.dtype.type(0)).view(f"<i{width}")
     bits = 8 * width - 1
-    zigzag = ((steps << 1) ^ (steps >> bits)).view(_unsigned(width))  # small for either sign
+    zigzag = ((steps << 1) ^ (steps >> bits)).view(numbers.dtype)  # small for either sign
     planes = zigzag.reshape(-1, 1).view(np.uint8).T
     return deflated(planes.tobytes())
 
@@ -390,7 +359,7 @@ def unpacked(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
         If the data have another size.
     """
     planes = np.frombuffer(inflated(data, rows * columns * width), np.uint8)
-    zigzag = planes.reshape(width, -1).T.copy().view(_unsigned(width)).reshape(rows, columns)
+    zigzag = planes.reshape(width, -1).T.copy().view(f"<u{width}").reshape(rows, columns)
     one = zigzag.dtype.type(1)
     steps = (zigzag >> one) ^ (np.zeros_like(one) - (zigzag & one))
     return np.cumsum(steps, axis=0, dtype=zigzag.dtype)
@@ -420,14 +389,6 @@ def inflated(data: bytes, size: int) -> bytes:
     if len(found) != size or not unpacker.eof or unpacker.unused_data:
         raise CodingError(f"does not inflate to {size} bytes")
     return found
-
-
-def _unsigned(width: int) -> np.dtype[Any]:
-    return np.dtype(f"<u{width}")
-
-
-def _signed(width: int) -> np.dtype[Any]:
-    return np.dtype(f"<i{width}")
 
 
 def exponents_of(columns: NDArray[Any]) -> Int64:

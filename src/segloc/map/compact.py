@@ -11,10 +11,9 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from ..system.section import Section
-from ..types import Float32, Float64, Int64
+from ..types import Float64, Int64
 from .coding import cells_and_parts, lattice_points, rounded, spread_exponents
-from .segment_map import SegmentMap
-from .voxel_cloud import VoxelCloud
+from .segment_map import SegmentMap, replaced
 
 CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
 """Centroids are rounded to 1/64 m, qualities to 1/64."""
@@ -54,11 +53,6 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     Numbers of descriptors are rounded to a power of two below their spread, points of the cloud to
     the centres of parts of their voxels. Of an object's views in a session the best by quality are
     kept. Segments are sorted so that neighbours follow one another.
-
-    Parameters
-    ----------
-    prior_map : SegmentMap
-    config : CompactConfig
     """
     if not config.enabled:
         return prior_map
@@ -67,7 +61,7 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     segments = {name: array[_along_curve(kept)] for name, array in kept.columns().items()}
     exponents = spread_exponents(segments["vectors"], 1 << config.bits)
     segments["vectors"] = rounded(segments["vectors"], exponents).astype(np.float32)
-    return _with(kept, segments, kept.cloud, kept.trajectory)
+    return replaced(kept, segments=segments)
 
 
 def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
@@ -81,18 +75,10 @@ def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     path = prior_map.trajectory.copy()
     path[:, :3, 3] = _to_step(path[:, :3, 3], POSITION_EXPONENT)
     path[:, :3, :3] = _to_step(path[:, :3, :3], ROTATION_EXPONENT)
-    return _with(prior_map, segments, _rounded_cloud(prior_map, config.cloud_bits), path)
-
-
-def _with(
-    prior_map: SegmentMap,
-    segments: dict[str, NDArray[Any]],
-    points: Float32,
-    path: Float64,
-) -> SegmentMap:
-    cloud = VoxelCloud(points, prior_map.origin, prior_map.cloud_voxel)
-    named = prior_map.descriptor, prior_map.fingerprint
-    return SegmentMap(*named, segments, cloud, path, prior_map.metadata)
+    origin, voxel = prior_map.origin, prior_map.cloud_voxel
+    cells, parts = cells_and_parts(prior_map.cloud, origin, voxel, config.cloud_bits)
+    points = lattice_points(cells, parts, origin, voxel, config.cloud_bits)
+    return replaced(prior_map, segments=segments, points=points, trajectory=path)
 
 
 def best_views(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:
@@ -144,12 +130,6 @@ def _along_curve(prior_map: SegmentMap) -> Int64:
             key |= one << np.uint64(3 * bit + axis)
     order: Int64 = np.lexsort((prior_map.stamps, prior_map.session, key))
     return order
-
-
-def _rounded_cloud(prior_map: SegmentMap, bits: int) -> Float32:
-    origin, voxel = prior_map.origin, prior_map.cloud_voxel
-    cells, parts = cells_and_parts(prior_map.cloud, origin, voxel, bits)
-    return lattice_points(cells, parts, origin, voxel, bits)
 
 
 def _to_step(numbers: NDArray[Any], exponent: int) -> Float64:

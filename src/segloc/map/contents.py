@@ -41,58 +41,34 @@ RANGES: dict[str, tuple[float, float]] = {
 """Values outside their range or not finite are rejected. Session numbers are unlimited."""
 
 
-class Extremes:
-    """Minimum and maximum of the numbers so far; NaN if one is NaN, 0 if there are none."""
-
-    def __init__(self) -> None:
-        self._lows: list[float] = []
-        self._highs: list[float] = []
-
-    def see(self, numbers: Array) -> None:
-        with np.errstate(invalid="ignore"):
-            self._lows.append(numbers.min())
-            self._highs.append(numbers.max())
-
-    @property
-    def low(self) -> float:
-        return float(np.min(self._lows)) if self._lows else 0.0
-
-    @property
-    def high(self) -> float:
-        return float(np.max(self._highs)) if self._highs else 0.0
+Extremes = tuple[float, float]
 
 
-def extremes_of(array: Array) -> Extremes:
-    """Return the extremes of an array."""
-    extremes = Extremes()
-    if array.size:
-        extremes.see(array)
-    return extremes
+def _extremes(array: Array) -> Extremes:
+    """Return the minimum and maximum; NaN if a number is NaN."""
+    with np.errstate(invalid="ignore"):
+        return float(array.min()), float(array.max())
 
 
-def arrays_fault(
-    arrays: Mapping[str, Array], cloud_voxel: float, extremes: Mapping[str, Extremes] | None = None
-) -> str | None:
-    """Return the fault of a map's arrays, with field and row; None if valid.
-
-    ``extremes``: of the arrays, if known.
-    """
-    known = extremes or {name: extremes_of(array) for name, array in arrays.items()}
+def arrays_fault(arrays: Mapping[str, Array], cloud_voxel: float) -> str | None:
+    """Return the fault of a map's arrays, with field and row; None if valid."""
+    cloud = arrays["cloud"]
+    extremes = _extremes(cloud) if cloud.size else (0.0, 0.0)
     for name, array in arrays.items():
-        if fault := column_fault(name, array, known[name]):
+        if fault := column_fault(name, array, extremes if name == "cloud" else None):
             return fault
-    if known["cloud"].high - known["cloud"].low <= cloud_voxel * MAX_VOXELS:
+    if extremes[1] - extremes[0] <= cloud_voxel * MAX_VOXELS:
         return None  # no need to measure the span of each axis
-    return _span_fault(arrays["cloud"], cloud_voxel)
+    return _span_fault(cloud, cloud_voxel)
 
 
 def column_fault(name: str, array: Array, extremes: Extremes | None = None) -> str | None:
     """Return the fault of one array, with its first invalid row; None if valid."""
     if name not in RANGES or not array.size:
         return None
-    extremes = extremes or extremes_of(array)
     low, high = RANGES[name]
-    if not (low <= extremes.low and extremes.high <= high):
+    lowest, highest = extremes or _extremes(array)
+    if not (low <= lowest and highest <= high):
         return _outside(name, array)
     return _pose_fault(array) if name == "trajectory" else None
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +34,7 @@ from .coding import (
     stored_array,
     text_of,
 )
-from .contents import MAX_DIM, Extremes, arrays_fault, column_fault, texts_fault, voxel_fault
+from .contents import MAX_DIM, arrays_fault, column_fault, texts_fault, voxel_fault
 
 FORMAT_VERSION = 2
 """To be increased when older readers would misread newer files."""
@@ -108,22 +109,13 @@ class Contents:
     metadata: Mapping[str, str]
     stored: Mapping[str, Stored] = field(default_factory=dict)
 
-    def fault(self, extremes: Mapping[str, Extremes] | None = None) -> str | None:
+    def fault(self) -> str | None:
         """Return the fault of the values, with field and row; None if valid."""
         return (
             texts_fault(self.descriptor, self.fingerprint, self.metadata)
             or voxel_fault(self.cloud_voxel)
-            or arrays_fault(self.arrays, self.cloud_voxel, extremes)
+            or arrays_fault(self.arrays, self.cloud_voxel)
         )
-
-    def fields(self) -> dict[str, str]:
-        """The text fields of ``REQUIRED_FIELDS``."""
-        return {
-            "descriptor": self.descriptor,
-            "fingerprint": self.fingerprint,
-            "cloud_voxel": repr(self.cloud_voxel),
-            "metadata": json.dumps(dict(self.metadata), sort_keys=True),
-        }
 
 
 def write(path: str | Path, contents: Contents) -> None:
@@ -141,16 +133,19 @@ def write(path: str | Path, contents: Contents) -> None:
         for name, (dtype, *_) in SCHEMA.items()  # widest first, to keep buffers aligned
         if name in contents.arrays
     }
-    texts = {**contents.fields(), _VERSION: str(PLAIN)}
+    texts = {
+        "descriptor": contents.descriptor,
+        "fingerprint": contents.fingerprint,
+        "cloud_voxel": repr(contents.cloud_voxel),
+        "metadata": json.dumps(dict(contents.metadata), sort_keys=True),
+        _VERSION: str(PLAIN),
+    }
     if found := packed_arrays(data, contents.cloud_voxel):
         data |= found[0]
         texts |= {_VERSION: str(PACKED), _CODING: text_of(found[1])}
-    shapes = {
-        name: (_DTYPE_NAMES[array.dtype.str], list(array.shape)) for name, array in data.items()
-    }
-    texts |= {f"{_CHECKSUM}.{name}": _digest(array) for name, array in data.items()}
-    texts[_CHECKSUM] = _header_digest(texts, shapes)
-    header = _header(texts, shapes, {name: array.nbytes for name, array in data.items()})
+    for name, array in data.items():
+        texts[f"{_CHECKSUM}.{name}"] = hashlib.blake2b(array.data, digest_size=16).hexdigest()
+    header = _header(texts, data)
     if len(header) > MAX_HEADER_BYTES:
         raise SeglocError(f"{path}: not written: metadata too long ({len(header)} bytes)")
     with replacing(path) as stream:
@@ -200,18 +195,18 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     unpacked = shapes | {name: (SCHEMA[name][0], list(r.shape)) for name, r in recipes.items()}
     if fault := shapes_fault(unpacked):
         raise MapFormatError(f"{path}: {fault}")
-    _check_fields(path, texts)
+    if missing := [key for key in REQUIRED_FIELDS if key not in texts]:
+        raise MapFormatError(f"{path}: missing {', '.join(missing)}")
     arrays: dict[str, Array] = {}
-    extremes: dict[str, Extremes] = {}
     for name in shapes:
-        digest, extremes[name] = hashlib.blake2b(digest_size=16), Extremes()
-        arrays[name] = file.read(name, _shown_to(digest, extremes[name]))
+        digest = hashlib.blake2b(digest_size=16)
+        arrays[name] = file.read(name, partial(_hashed, digest))
         if texts.get(f"{_CHECKSUM}.{name}") != digest.hexdigest():
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
     contents = _contents(path, arrays, texts)
     if recipes:
         contents = _unpacked(path, contents, recipes)
-    if fault := contents.fault(None if recipes else extremes):
+    if fault := contents.fault():
         raise MapFormatError(f"{path}: damaged: {fault}")
     return contents
 
@@ -252,12 +247,8 @@ def _unpacked(path: str | Path, contents: Contents, recipes: Recipes) -> Content
     return replace(contents, arrays=arrays, stored=stored)
 
 
-def _shown_to(digest: hashlib.blake2b, extremes: Extremes) -> Callable[[Array], None]:
-    def look(part: Array) -> None:
-        digest.update(part.data)
-        extremes.see(part)
-
-    return look
+def _hashed(digest: hashlib.blake2b, part: Array) -> None:
+    digest.update(part.data)
 
 
 def _contents(path: str | Path, arrays: dict[str, Array], texts: Mapping[str, str]) -> Contents:
@@ -281,22 +272,17 @@ def _checked_version(path: str | Path, texts: Mapping[str, str]) -> int:
     return int(version)
 
 
-def _check_fields(path: str | Path, texts: Mapping[str, str]) -> None:
-    missing = [key for key in REQUIRED_FIELDS if key not in texts]
-    if missing:
-        raise MapFormatError(f"{path}: missing {', '.join(missing)}")
-
-
-def _header(
-    texts: Mapping[str, str],
-    shapes: Mapping[str, tuple[str, list[int]]],
-    sizes: Mapping[str, int],
-) -> bytes:
+def _header(texts: dict[str, str], data: Mapping[str, Array]) -> bytes:
+    """Encode the header of arrays; ``texts`` get its checksum."""
     # Written here since the safetensors package orders metadata at random.
+    shapes = {
+        name: (_DTYPE_NAMES[array.dtype.str], list(array.shape)) for name, array in data.items()
+    }
+    texts[_CHECKSUM] = _header_digest(texts, shapes)
     header: dict[str, Any] = {"__metadata__": dict(sorted(texts.items()))}
     begin = 0
     for name, (dtype, shape) in shapes.items():
-        end = begin + sizes[name]
+        end = begin + data[name].nbytes
         header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
         begin = end
     encoded = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
@@ -308,10 +294,6 @@ def _header_digest(texts: Mapping[str, str], shapes: Mapping[str, tuple[str, lis
     covered = {key: value for key, value in texts.items() if key != _CHECKSUM}
     encoded = json.dumps([covered, dict(shapes)], sort_keys=True).encode()
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
-
-
-def _digest(array: Array) -> str:
-    return hashlib.blake2b(np.ascontiguousarray(array).data, digest_size=16).hexdigest()
 
 
 def shapes_fault(shapes: Mapping[str, tuple[str, list[int]]]) -> str | None:

@@ -17,22 +17,26 @@ from ..system import from_above
 from ..system.section import Section
 from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile
-from .coding import Part, Stored
+from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
-from .segment_table import (
-    SEGMENT_DTYPES,
-    Array,
-    SegmentTable,
-    bytes_of,
-    checked,
-    joined,
-    no_segments,
-)
 from .voxel_cloud import VoxelCloud
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Array = NDArray[Any]
+Int32 = NDArray[np.int32]
+
+SEGMENT_DTYPES: dict[str, Any] = {
+    "vectors": np.float32,
+    "quality": np.float32,
+    "centroids": np.float64,
+    "sizes": np.int32,
+    "session": np.int32,
+    "stamps": np.float64,
+    "missed": np.int32,
+}
 
 VIEWPOINTS, LATTICE = "viewpoints", "lattice"
 """Key of the metadata, and its value where the trajectory holds viewpoints about which no free
@@ -41,7 +45,7 @@ _USED_BY_QUERIES = ("centroids", "quality")
 """Columns that are kept unpacked."""
 
 
-class SegmentMap(SegmentTable):
+class SegmentMap:
     """Segments of a place with their descriptors, and the cloud they were cut from.
 
     Start from :meth:`from_scans`, :meth:`from_cloud`, :meth:`load` or :meth:`empty`.
@@ -70,9 +74,17 @@ class SegmentMap(SegmentTable):
         metadata: Mapping[str, str] | None = None,
         stored: Mapping[str, Stored] | None = None,
     ) -> None:
-        super().__init__(segments, stored)
         self.descriptor = descriptor
         self.fingerprint = fingerprint
+        self.dim = int(segments["vectors"].shape[1])
+        # Rows are gathered in lists and joined on access. Whether there is a quality is unknown
+        # until the first segments are added.
+        self._columns: dict[str, list[Part]] = {
+            name: [(stored or {}).get(name, array)]
+            for name, array in segments.items()
+            if name != "quality" or len(array)
+        }
+        self._columns.setdefault("missed", [np.zeros(len(segments["session"]), np.int32)])
         self.metadata = dict(metadata or {})
         self._cloud = cloud
         self._trajectory: list[Part] = [trajectory]
@@ -90,11 +102,16 @@ class SegmentMap(SegmentTable):
         """Return an empty map."""
         if dim < 1:
             raise SeglocError(f"dim must be positive, not {dim}")
-        where = checked(origin, "origin", (3,), np.float64)
+        where = _checked(origin, "origin", (3,), np.float64)
         if fault := voxel_fault(cloud_voxel) or column_fault("origin", where):
             raise SeglocError(fault)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
-        return cls(descriptor_name, fingerprint, no_segments(dim), cloud, np.empty((0, 4, 4)))
+        none = {
+            name: np.empty(_row_shape(name, 0, dim), dtype)
+            for name, dtype in SEGMENT_DTYPES.items()
+            if name != "quality"
+        }
+        return cls(descriptor_name, fingerprint, none, cloud, np.empty((0, 4, 4)))
 
     @classmethod
     def from_scans(
@@ -159,6 +176,57 @@ class SegmentMap(SegmentTable):
     def __repr__(self) -> str:
         return f"SegmentMap({len(self)} segments, {self.descriptor!r}, {len(self._cloud)} points)"
 
+    def __len__(self) -> int:
+        return len(self.centroids)
+
+    @property
+    def vectors(self) -> Float32:
+        """Descriptors, (P, dim) float32."""
+        return self._column("vectors")
+
+    @property
+    def quality(self) -> Float32 | None:
+        """Probability that a descriptor's nearest neighbour is right, (P,) float32, or None."""
+        return self._column("quality") if "quality" in self._columns else None
+
+    @property
+    def centroids(self) -> Float64:
+        """Means of the segments, (P, 3) float64, map frame."""
+        return self._column("centroids")
+
+    @property
+    def sizes(self) -> Int32:
+        """Points in each segment, (P,) int32."""
+        return self._column("sizes")
+
+    @property
+    def session(self) -> Int32:
+        """Session number of each segment, (P,) int32."""
+        return self._column("session")
+
+    @property
+    def stamps(self) -> Float64:
+        """Stamp of the view of each segment, (P,) float64."""
+        return self._column("stamps")
+
+    @property
+    def missed(self) -> Int32:
+        """Number of consecutive sessions that looked through each segment, (P,) int32."""
+        return self._column("missed")
+
+    @property
+    def coded_vectors(self) -> Coded | None:
+        """The descriptors as integers of a lattice, if they are stored so."""
+        first, *others = self._columns["vectors"]
+        return first if isinstance(first, Coded) and not others else None
+
+    def _column(self, name: str) -> Array:
+        return _joined(self._columns[name])
+
+    def columns(self) -> dict[str, Array]:
+        """All columns, by the names of ``SEGMENT_DTYPES``."""
+        return {name: self._column(name) for name in self._columns}
+
     @property
     def cloud(self) -> Float32:
         """Thinned points (N, 3) float32, relative to ``origin``."""
@@ -180,7 +248,7 @@ class SegmentMap(SegmentTable):
     @property
     def trajectory(self) -> Float64:
         """Poses T_map_sensor of the recording, (V, 4, 4) float64."""
-        return joined(self._trajectory)
+        return _joined(self._trajectory)
 
     @property
     def sensor_positions(self) -> Float64:
@@ -195,8 +263,8 @@ class SegmentMap(SegmentTable):
     @property
     def memory_bytes(self) -> int:
         """Size in memory, without what is unpacked on use."""
-        columns = sum(map(bytes_of, self._columns.values()))
-        return columns + self._cloud.nbytes + bytes_of(self._trajectory)
+        parts = [part for parts in self._columns.values() for part in parts]
+        return sum(part.nbytes for part in parts + self._trajectory) + self._cloud.nbytes
 
     def info(self) -> dict[str, Any]:
         """Return facts about the map as JSON values."""
@@ -251,9 +319,30 @@ class SegmentMap(SegmentTable):
         SeglocError
             If a shape is wrong or a value is not finite; the map is then unchanged.
         """
-        columns = self._rows_of(descriptors, centroids, sizes, session, stamp)
+        count = len(descriptors)
+        values: dict[str, ArrayLike | None] = {
+            "vectors": descriptors.vectors,
+            "quality": descriptors.quality,
+            "centroids": centroids,
+            "sizes": sizes,
+            "session": np.full(count, session),
+            "stamps": np.full(count, stamp, dtype=np.float64),
+            "missed": np.zeros(count, np.int32),
+        }
+        columns = {
+            name: _checked(value, name, _row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
+            for name, value in values.items()
+            if value is not None
+        }
+        for name, column in columns.items():
+            if fault := column_fault(name, column):
+                raise SeglocError(fault)
+        if count and len(self) and ("quality" in columns) != ("quality" in self._columns):
+            raise MapMismatch("descriptor quality must be given for all views of a map or for none")
         self._cloud.add(np.asarray(cloud))
-        self._append(columns)
+        if count:
+            for name, column in columns.items():
+                self._columns.setdefault(name, []).append(column)
 
     def add_cloud(self, points: ArrayLike) -> None:
         """Add (N, 3) points to verify poses against, in the map frame.
@@ -313,7 +402,7 @@ class SegmentMap(SegmentTable):
 
     def crop(self, center_xy: ArrayLike, radius: float) -> SegmentMap:
         """Return a new map of the contents within a horizontal distance of a point [m]."""
-        center = checked(center_xy, "center_xy", (2,), np.float64)
+        center = _checked(center_xy, "center_xy", (2,), np.float64)
         if not radius >= 0:
             raise SeglocError(f"radius must be at least 0, not {radius}")
 
@@ -324,7 +413,8 @@ class SegmentMap(SegmentTable):
         near = inside(self.centroids[:, :2])
         near_points = inside(self.cloud[:, :2] + self.origin[:2])
         path = self.trajectory[inside(self.trajectory[:, :2, 3])]
-        return self._part(self.columns(), near, near_points, path)
+        segments = {name: array[near] for name, array in self.columns().items()}
+        return replaced(self, segments=segments, points=self.cloud[near_points], trajectory=path)
 
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
@@ -347,11 +437,12 @@ class SegmentMap(SegmentTable):
         """
         segments = self.columns()
         if missed is not None:
-            segments["missed"] = checked(missed, "missed", (len(self),), np.int32)
-        masks = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
-        if masks[0].shape != (len(self),) or masks[1].shape != (len(self._cloud),):
-            raise SeglocError(f"masks of shapes {masks[0].shape} and {masks[1].shape} do not match")
-        return self._part(segments, *masks, self.trajectory)
+            segments["missed"] = _checked(missed, "missed", (len(self),), np.int32)
+        stay, points = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
+        if stay.shape != (len(self),) or points.shape != (len(self._cloud),):
+            raise SeglocError(f"masks of shapes {stay.shape} and {points.shape} do not match")
+        segments = {name: array[stay] for name, array in segments.items()}
+        return replaced(self, segments=segments, points=self.cloud[points])
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map from above: its points and the trajectory.
@@ -379,10 +470,12 @@ class SegmentMap(SegmentTable):
         SeglocError
             If the file cannot be written; an existing file is then unchanged.
         """
-        contents = mapfile.Contents(
-            self._arrays(), self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
-        )
-        mapfile.write(path, contents)
+        arrays = self.columns()
+        if not arrays["missed"].any():  # as in files older than the column
+            del arrays["missed"]
+        arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
+        named = self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
+        mapfile.write(path, mapfile.Contents(arrays, *named))
 
     @classmethod
     def load(cls, path: str | Path) -> SegmentMap:
@@ -408,33 +501,66 @@ class SegmentMap(SegmentTable):
             {name: each for name, each in file.stored.items() if name not in _USED_BY_QUERIES},
         )
 
-    # --- internal ------------------------------------------------------------------------------
 
-    def _part(
-        self, segments: dict[str, Array], rows: Array, points: Array, trajectory: Float64
-    ) -> SegmentMap:
-        return SegmentMap(
-            self.descriptor,
-            self.fingerprint,
-            {name: array[rows] for name, array in segments.items()},
-            VoxelCloud(self.cloud[points], self.origin, self.cloud_voxel),
-            trajectory,
-            self.metadata,
-        )
+def _joined(parts: list[Part]) -> Array:
+    """Join the parts into one array, which replaces them in the list if there are several."""
+    arrays = [array_of(part) for part in parts]
+    if len(arrays) > 1:
+        arrays = [np.concatenate(arrays)]
+        parts[:] = arrays
+    return arrays[0]
 
-    def _arrays(self) -> dict[str, Array]:
-        arrays = self.columns()
-        if not arrays["missed"].any():  # as in files older than the column
-            del arrays["missed"]
-        arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
-        return arrays
+
+def _row_shape(name: str, count: int, dim: int) -> tuple[int, ...]:
+    return {"vectors": (count, dim), "centroids": (count, 3)}.get(name, (count,))
+
+
+def _checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
+    """Return a copy of ``values`` in that dtype.
+
+    Raises
+    ------
+    SeglocError
+        If the shape or kind of dtype is wrong, or a value is not finite or out of range.
+    """
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise SeglocError(f"{name} must have shape {shape}, not {array.shape}")
+    whole = np.issubdtype(dtype, np.integer)
+    if array.size and array.dtype.kind not in ("iu" if whole else "iuf"):
+        raise SeglocError(f"{name} cannot have dtype {array.dtype}")
+    if not np.isfinite(array).all() or (whole and (np.abs(array) > np.iinfo(dtype).max).any()):
+        raise SeglocError(f"{name} has values out of range")
+    return np.array(array, dtype=dtype)
+
+
+def replaced(
+    prior_map: SegmentMap,
+    *,
+    segments: Mapping[str, Array] | None = None,
+    points: Float32 | None = None,
+    trajectory: Float64 | None = None,
+) -> SegmentMap:
+    """Return the map with other columns, points of the cloud or poses, and the rest as it is."""
+    points = prior_map.cloud if points is None else points
+    return SegmentMap(
+        prior_map.descriptor,
+        prior_map.fingerprint,
+        prior_map.columns() if segments is None else segments,
+        VoxelCloud(points, prior_map.origin, prior_map.cloud_voxel),
+        prior_map.trajectory if trajectory is None else trajectory,
+        prior_map.metadata,
+    )
 
 
 def along(prior_map: SegmentMap, path: Float64) -> SegmentMap:
     """Return the map with another trajectory of (V, 4, 4) poses."""
-    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
-    named = prior_map.descriptor, prior_map.fingerprint
-    return SegmentMap(*named, prior_map.columns(), cloud, path, prior_map.metadata)
+    return replaced(prior_map, trajectory=path)
+
+
+def with_sessions(prior_map: SegmentMap, session: Int32) -> SegmentMap:
+    """Return the map with other session numbers, (P,)."""
+    return replaced(prior_map, segments={**prior_map.columns(), "session": session})
 
 
 def concatenated(parts: list[SegmentMap], *, apart: bool = False) -> SegmentMap:
@@ -481,14 +607,6 @@ def _clouds(parts: list[SegmentMap], apart: bool) -> VoxelCloud:
         return VoxelCloud(points, first.origin, first.cloud_voxel)
     cloud = VoxelCloud(first.cloud, first.origin, first.cloud_voxel)
     for part in parts[1:]:
-        own = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
-        cloud.add_relative(own.moved_to(first.origin, first.cloud_voxel).points)
+        moved = part.voxel_cloud.moved_to(first.origin, first.cloud_voxel)
+        cloud.add_relative(moved.points)
     return cloud
-
-
-def with_sessions(prior_map: SegmentMap, session: NDArray[np.int32]) -> SegmentMap:
-    """Return the map with other session numbers, (P,)."""
-    cloud = VoxelCloud(prior_map.cloud, prior_map.origin, prior_map.cloud_voxel)
-    columns = {**prior_map.columns(), "session": session}
-    named = prior_map.descriptor, prior_map.fingerprint
-    return SegmentMap(*named, columns, cloud, prior_map.trajectory, prior_map.metadata)

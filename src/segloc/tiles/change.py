@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..config import Config, map_config
 from ..errors import DatasetError, MapMismatch
@@ -17,12 +16,21 @@ from ..map.same_place import check_same_place
 from ..map.segment_map import SegmentMap, along, concatenated, with_sessions
 from ..map.update import UpdateConfig, UpdateCounts, update_map
 from ..types import Float64, Recording
-from .cut import COARSE, in_square, part_of, publish, thin_of, write_tile
-from .index import Tile, TileIndex, cells_of
+from .cut import (
+    COARSE,
+    Cell,
+    in_square,
+    part_of,
+    publish,
+    squares_of,
+    thin_of,
+    write_square,
+    write_tile,
+)
+from .index import TileIndex, cells_of
 from .store import Store, store_of
 from .tiled_map import TiledMap
 
-Cell = tuple[int, int]
 Change = Callable[[SegmentMap], SegmentMap]
 
 
@@ -131,7 +139,7 @@ def _changed(
         tiles = TiledMap(store.where)
         index, size_m = tiles.index, tiles.index.size_m
         have = {tile.cell: tile for tile in index.tiles}
-        new = {*map(_cell, np.unique(cells_of(places if path is None else path, size_m), axis=0))}
+        new = set(squares_of(places if path is None else path, size_m))
         near = _reached(places, reach_m + index.margin_m, size_m)
         cells = sorted(new | (near & have.keys()))
         support = [have[cell] for cell in sorted(_around(cells, index) & have.keys())]
@@ -140,7 +148,7 @@ def _changed(
         before = tiles.together(support)
         after = _numbered(change(before), before, tiles.coarse())
         parts = {cell: part_of(after, cell, size_m, index.margin_m) for cell in cells}
-        made = [_tile(store, parts[cell], cell, size_m) for cell in cells]
+        made = [write_square(store, parts[cell], cell, size_m) for cell in cells]
         kept = [tile for cell, tile in have.items() if cell not in parts]
         coarse = write_tile(store, _coarse(tiles, after, cells), "coarse")
         everything = sorted([*kept, *made], key=lambda tile: tile.cell)
@@ -148,10 +156,6 @@ def _changed(
         publish(store, found)
     same = {tile.file for tile in index.tiles}
     return Changed(found, len(support), sum(tile.file not in same for tile in made))
-
-
-def _cell(row: NDArray[np.int64]) -> Cell:
-    return int(row[0]), int(row[1])
 
 
 def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
@@ -188,12 +192,6 @@ def _numbered(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> Segm
     for number, old in enumerate(new, first):
         session[after.session == old] = number
     return with_sessions(after, session)
-
-
-def _tile(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> Tile:
-    file = write_tile(store, part, f"tile_{cell[0]}_{cell[1]}")
-    own = in_square(part.trajectory[:, :3, 3], cell, size_m)
-    return Tile(**file.model_dump(), cell=cell, poses=int(own.sum()))
 
 
 def _coarse(tiles: TiledMap, after: SegmentMap, cells: list[Cell]) -> SegmentMap:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
-from ..map.segment_map import SegmentMap, along, concatenated
+from ..map.segment_map import SegmentMap, along, concatenated, replaced
 from ..system.processes import all_of
 from ..types import Float64
 from .index import (
@@ -77,20 +77,26 @@ def cut_tiles(
     SeglocError
         If writing fails; the old tiles are then unchanged.
     """
-    _check_lengths(size_m, margin_m)
-    store, cells = store_of(out), _cells(prior_map, size_m)
-    tasks = (
-        _Task(part, cell, size_m, out) for cell, part in _parts(prior_map, cells, size_m, margin_m)
-    )
+    if not (50 <= size_m <= 1e6 and 0 <= margin_m <= 1e3):
+        raise ConfigError(
+            f"tiles must be 50 m to 1000 km wide with a margin of at most 1 km, not {size_m:g} m "
+            f"and {margin_m:g} m"
+        )
+    path = prior_map.trajectory[:, :3, 3]
+    cells = squares_of(path if len(path) else prior_map.centroids, size_m)
+    if not cells:
+        raise SeglocError("a map without trajectory and segments has no tiles")
+    store, parts = store_of(out), _parts(prior_map, cells, size_m, margin_m)
     with store.alone():
         found: list[tuple[Tile, SegmentMap]] = []
-        while some := list(islice(tasks, AT_ONCE)):
-            found += all_of(_cut, some, executor)
+        while some := list(islice(parts, AT_ONCE)):
+            found += all_of(partial(_cut, out, size_m), some, executor)
             if progress:
                 progress(len(found), len(cells))
         found.sort(key=lambda made: made[0].cell)
         tiles, thin = [tile for tile, _ in found], [part for _, part in found]
-        coarse = write_tile(store, _join(prior_map, thin), "coarse")
+        joined = along(concatenated(thin), prior_map.trajectory)
+        coarse = write_tile(store, compacted(joined, COARSE), "coarse")
         index = TileIndex(
             version=FORMAT_VERSION,
             size_m=size_m,
@@ -104,31 +110,11 @@ def cut_tiles(
     return index
 
 
-def _check_lengths(size_m: float, margin_m: float) -> None:
-    if not (50 <= size_m <= 1e6 and 0 <= margin_m <= 1e3):
-        raise ConfigError(
-            f"tiles must be 50 m to 1000 km wide with a margin of at most 1 km, not {size_m:g} m "
-            f"and {margin_m:g} m"
-        )
-
-
-@dataclass(frozen=True)
-class _Task:
-    """Tile to write."""
-
-    part: SegmentMap
-    cell: Cell
-    size_m: float
-    out: str | Path
-
-
-def _cut(task: _Task) -> tuple[Tile, SegmentMap]:
-    """Write a tile; return it with its thin map."""
-    cell, owned = task.cell, part_of(task.part, task.cell, task.size_m, 0.0)
-    file = write_tile(store_of(task.out), task.part, f"tile_{cell[0]}_{cell[1]}")
-    return Tile(**file.model_dump(), cell=cell, poses=len(owned.trajectory)), thin_of(
-        owned, task.size_m
-    )
+def _cut(out: str | Path, size_m: float, task: tuple[Cell, SegmentMap]) -> tuple[Tile, SegmentMap]:
+    """Write the tile of a square in any process; return it with its thin map."""
+    cell, part = task
+    tile = write_square(store_of(out), part, cell, size_m)
+    return tile, thin_of(part_of(part, cell, size_m, 0.0), size_m)
 
 
 def _parts(
@@ -173,19 +159,26 @@ def part_of(prior_map: SegmentMap, cell: Cell, size_m: float, margin_m: float) -
 
 def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
     """Return the part of a map in a box, seen from above."""
-    points = prior_map.cloud[:, :2] + prior_map.origin[:2]
-    path = prior_map.trajectory
-    kept = prior_map.kept(_inside(prior_map.centroids, low, high), _inside(points, low, high))
-    return along(kept, path[_inside(path[:, :3, 3], low, high)])
+    return part_where(prior_map, partial(_inside, low=low, high=high))
 
 
-def _cells(prior_map: SegmentMap, size_m: float) -> list[Cell]:
-    """Return the squares along the trajectory, or of the segments if there is none."""
-    path = prior_map.trajectory[:, :3, 3]
-    where = path if len(path) else prior_map.centroids
-    if not len(where):
-        raise SeglocError("a map without trajectory and segments has no tiles")
-    return [(int(i), int(j)) for i, j in np.unique(cells_of(where, size_m), axis=0)]
+def part_where(prior_map: SegmentMap, chosen: Callable[[Float64], Bools]) -> SegmentMap:
+    """Return the part of a map at the chosen ones of (N, 2 or 3) positions."""
+    points, path = prior_map.cloud[:, :2] + prior_map.origin[:2], prior_map.trajectory
+    kept = prior_map.kept(chosen(prior_map.centroids), chosen(points))
+    return along(kept, path[chosen(path[:, :3, 3])])
+
+
+def squares_of(positions: Float64, size_m: float) -> list[Cell]:
+    """Return the squares that contain some of (N, 2 or 3) positions, sorted."""
+    return [(int(i), int(j)) for i, j in np.unique(cells_of(positions, size_m), axis=0)]
+
+
+def write_square(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> Tile:
+    """Write the tile of a square."""
+    file = write_tile(store, part, f"tile_{cell[0]}_{cell[1]}")
+    own = in_square(part.trajectory[:, :3, 3], cell, size_m)
+    return Tile(**file.model_dump(), cell=cell, poses=int(own.sum()))
 
 
 def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
@@ -204,20 +197,13 @@ def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
 def thin_of(part: SegmentMap, size_m: float) -> SegmentMap:
     """Return a tile's best view of each object, up to a number, without the cloud."""
     most = max(COARSE_AT_LEAST, round(COARSE_A_KM2 * (size_m / 1e3) ** 2))
-    none = np.zeros(len(part.cloud), dtype=bool)
-    thin = compacted(part.kept(np.ones(len(part), dtype=bool), none), COARSE)
+    thin = compacted(replaced(part, points=part.cloud[:0]), COARSE)
     if len(thin) <= most:
         return thin
     rank = thin.sizes if thin.quality is None else thin.quality
-    order = np.argsort(-rank, kind="stable")[:most]
     chosen = np.zeros(len(thin), dtype=bool)
-    chosen[order] = True
+    chosen[np.argsort(-rank, kind="stable")[:most]] = True
     return thin.kept(chosen, np.zeros(0, dtype=bool))
-
-
-def _join(prior_map: SegmentMap, parts: list[SegmentMap]) -> SegmentMap:
-    """Join the thin maps of all tiles, with the whole trajectory."""
-    return compacted(along(concatenated(parts), prior_map.trajectory), COARSE)
 
 
 def owned_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileIndex) -> Bools:
@@ -234,9 +220,7 @@ def owned_rows(positions: Float64, tile: Tile, others: list[Tile], index: TileIn
     return keep
 
 
-def in_square(
-    positions: Float64, cell: tuple[int, int], size_m: float, margin_m: float = 0.0
-) -> Bools:
+def in_square(positions: Float64, cell: Cell, size_m: float, margin_m: float = 0.0) -> Bools:
     """Return which of (N, 2 or 3) positions lie in a square and a margin around it."""
     return _inside(positions, *_box(cell, size_m, margin_m))
 

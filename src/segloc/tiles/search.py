@@ -79,7 +79,11 @@ class TileSearch:
         """
         index = self._tiles.index
         tiles = index.tiles if near is None else index.near(near)
-        matches, found = self._proposed(query, near, times) if len(tiles) > 1 else (_NONE, [])
+        matches, found = _NONE, list[Candidate]()
+        if len(tiles) > 1:
+            with times("tiles"):
+                matches = self._vote.matches(query.descriptors, near)
+                found = self._vote.poses(query.scene, matches, near)
         only = None if near is None else replace(near, anywhere=False)
         result: Search | None = None
         for chosen in self._named(query, tiles, found, near, times):
@@ -102,14 +106,6 @@ class TileSearch:
         if tile is None:
             return None
         return self._searching((tile,), StageTimes(self._coarse.clock))
-
-    def _proposed(
-        self, query: Query, near: Prior | None, times: StageTimes
-    ) -> tuple[Matches, list[Candidate]]:
-        """Return poses in the thin map, best first, and their matches."""
-        with times("tiles"):
-            matches = self._vote.matches(query.descriptors, near)
-            return matches, self._vote.poses(query.scene, matches, near)
 
     def _named(
         self,
@@ -201,7 +197,7 @@ class TileSearch:
                     clock=self._coarse.clock,
                 )
 
-        return self._tiles.recent.get(key, Localizer, made, _bytes)
+        return self._tiles.recent.get(key, made, _bytes)
 
 
 _NONE = Matches(
@@ -250,24 +246,17 @@ class Recent:
         with self._lock:
             return sum(size for _, size in self._kept.values())
 
-    def get(
-        self,
-        key: Hashable,
-        kind: type[Value],
-        make: Callable[[], Value],
-        size: Callable[[Value], int],
-    ) -> Value:
+    def get(self, key: Hashable, make: Callable[[], Value], size: Callable[[Value], int]) -> Value:
         """Return the entry of a key, or create it."""
-        place = (kind, key)
         with self._lock:
-            if place in self._kept:
-                self._kept.move_to_end(place)
-                found: Value = self._kept[place][0]
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                found: Value = self._kept[key][0]
                 return found
         made = make()
         with self._lock:
-            self._kept[place] = made, size(made)
-            self._kept.move_to_end(place)
+            self._kept[key] = made, size(made)
+            self._kept.move_to_end(key)
             excess = sum(size for _, size in self._kept.values()) - self._most_bytes
             while excess > 0 and len(self._kept) > 1:
                 excess -= self._kept.popitem(last=False)[1][1]

@@ -7,14 +7,14 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from ..errors import MapFormatError, MissingDependency, SeglocError
 from ..system.files import replacing
 from ..system.locks import exclusive
-from .index import INDEX, MAX_INDEX_BYTES, TileFile, digest_of
+from .index import INDEX, TileFile, digest_of
 
 Answer = TypeVar("Answer")
 
@@ -22,54 +22,30 @@ LEASE, WAIT_S, POLL_S = "writing.lease", 600.0, 0.2
 """File that marks a writer at a URL, and how long other writers wait."""
 
 
-class Store(Protocol):
-    """Place of files.
-
-    Attributes
-    ----------
-    where : str
-        Its path or URL.
-    """
-
-    where: str
-
-    def read(self, name: str, most: int) -> bytes:
-        """Read a file of at most ``most`` bytes; raises OSError."""
-        ...
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write a file atomically."""
-        ...
-
-    def names(self) -> list[str]:
-        """List all files."""
-        ...
-
-    def remove(self, name: str) -> None:
-        """Remove a file."""
-        ...
-
-    def alone(self) -> AbstractContextManager[None]:
-        """Exclude other writers in a ``with`` block."""
-        ...
-
-
 class Folder:
-    """Store in a folder on disk."""
+    """Store in a folder on disk; ``where`` is its path."""
 
     def __init__(self, where: str) -> None:
         self.where, self._path = where, Path(where)
 
     def read(self, name: str, most: int) -> bytes:
+        """Read a file of at most ``most`` bytes, and one more byte of a longer one.
+
+        Raises
+        ------
+        OSError
+        """
         with (self._path / name).open("rb") as stream:
             return stream.read(most + 1)
 
     def write(self, name: str, data: bytes) -> None:
+        """Write a file atomically."""
         self._path.mkdir(parents=True, exist_ok=True)
         with replacing(self._path / name) as stream:
             stream.write(data)
 
     def names(self) -> list[str]:
+        """List all files."""
         return sorted(p.name for p in self._path.iterdir()) if self._path.is_dir() else []
 
     def remove(self, name: str) -> None:
@@ -77,13 +53,14 @@ class Folder:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
+        """Exclude other writers in a ``with`` block."""
         self._path.mkdir(parents=True, exist_ok=True)
         with exclusive(self._path / INDEX):
             yield
 
 
 class Remote:
-    """Store at a URL of fsspec."""
+    """Store at a URL of fsspec, with the methods of :class:`Folder`."""
 
     def __init__(self, where: str) -> None:
         try:
@@ -144,6 +121,9 @@ class Remote:
         return bool(self._files.cat_file(path) == mine.encode())
 
 
+Store: TypeAlias = Folder | Remote
+
+
 def holds_tiles(where: str) -> bool:
     """Return whether a path or URL holds tiles, not a map file.
 
@@ -198,16 +178,6 @@ class Reader:
         self._store, self._cache = store, cache
         self._cache_bytes, self._timeout_s = cache_bytes, timeout_s
 
-    def index(self, name: str) -> bytes:
-        """Read the index.
-
-        Raises
-        ------
-        MapFormatError
-            If it cannot be read.
-        """
-        return self._fetched(name, MAX_INDEX_BYTES)
-
     def tile(self, tile: TileFile) -> bytes:
         """Read a tile from the cache or the store.
 
@@ -232,7 +202,7 @@ class Reader:
         """Read a tile from the store, with one retry if it is incomplete."""
         for last in (False, True):
             try:
-                data = self._fetched(tile.file, tile.bytes)
+                data = self.fetched(tile.file, tile.bytes)
             except MapFormatError as error:
                 if last or isinstance(error.__cause__, (TimeoutError, FileNotFoundError)):
                     raise
@@ -243,7 +213,14 @@ class Reader:
             f"{self._store.where}/{tile.file}: damaged: it does not match the index"
         )
 
-    def _fetched(self, name: str, most: int) -> bytes:
+    def fetched(self, name: str, most: int) -> bytes:
+        """Read a file of at most ``most`` bytes from the store.
+
+        Raises
+        ------
+        MapFormatError
+            If it is missing, takes too long, or cannot be read; names it.
+        """
         where = f"{self._store.where}/{name}"
         try:
             return within(self._timeout_s, lambda: self._store.read(name, most))

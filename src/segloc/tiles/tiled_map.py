@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from ..errors import MapFormatError, MapMismatch
 from ..localizer import Localizer
-from ..map.segment_map import SegmentMap, along, concatenated
-from .cut import owned_rows
-from .index import INDEX, Tile, TileFile, TileIndex
+from ..map.segment_map import SegmentMap, concatenated
+from .cut import owned_rows, part_where
+from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
 from .search import Recent, TileSearch
 from .store import Folder, Reader, store_of
 
@@ -71,13 +71,21 @@ class TiledMap:
         copies = None if isinstance(store, Folder) else Path(cache or _users_cache(store.where))
         self.where = store.where
         self._reader = Reader(store, copies, cache_bytes, timeout_s)
-        self.index = TileIndex.parse(self._reader.index(INDEX), f"{store.where}/{INDEX}")
+        index = self._reader.fetched(INDEX, MAX_INDEX_BYTES)
+        self.index = TileIndex.parse(index, f"{store.where}/{INDEX}")
         self.recent = Recent(memory_bytes)
-        self._opened_by = where, cache, cache_bytes, memory_bytes, timeout_s
+        self._reopen = partial(
+            TiledMap,
+            where,
+            cache=cache,
+            cache_bytes=cache_bytes,
+            memory_bytes=memory_bytes,
+            timeout_s=timeout_s,
+        )
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Callable[[], TiledMap], tuple[()]]:
         """Pickle the location, to be reopened in another process."""
-        return _reopened, self._opened_by
+        return self._reopen, ()
 
     def __len__(self) -> int:
         return len(self.index.tiles)
@@ -97,9 +105,7 @@ class TiledMap:
         MapFormatError
             If it is missing, damaged, or takes too long; names its file.
         """
-        return self.recent.get(
-            tile.file, SegmentMap, lambda: self._loaded(tile), lambda part: part.memory_bytes
-        )
+        return self.recent.get(tile.file, lambda: self._loaded(tile), lambda m: m.memory_bytes)
 
     def search(self, coarse: Localizer) -> TileSearch:
         """Return the search in tiles for :class:`segloc.Localizer`."""
@@ -117,14 +123,9 @@ class TiledMap:
             return self.tile(tiles[0])
         parts = []
         for tile in tiles:
-            part = self.tile(tile)
             others = [other for other in tiles if other.cell != tile.cell]
-            points = part.cloud[:, :2] + part.origin[:2]
-            rows = owned_rows(part.centroids, tile, others, self.index)
-            kept = part.kept(rows, owned_rows(points, tile, others, self.index))
-            path = part.trajectory
-            own = owned_rows(path[:, :3, 3], tile, others, self.index)
-            parts.append(along(kept, path[own]))
+            owned = partial(owned_rows, tile=tile, others=others, index=self.index)
+            parts.append(part_where(self.tile(tile), owned))
         return concatenated(parts, apart=True)
 
     def _loaded(self, file: TileFile) -> SegmentMap:
@@ -137,28 +138,10 @@ class TiledMap:
                 loaded = SegmentMap.load(path)
             except MapFormatError as error:
                 raise MapFormatError(str(error).replace(str(path), where)) from error
-        if (loaded.descriptor, loaded.fingerprint) != (
-            self.index.descriptor,
-            self.index.fingerprint,
-        ):
+        index = self.index
+        if (loaded.descriptor, loaded.fingerprint) != (index.descriptor, index.fingerprint):
             raise MapMismatch(f"{where}: its descriptor differs from the index")
         return loaded
-
-
-def _reopened(
-    where: str | Path,
-    cache: str | Path | None,
-    cache_bytes: int,
-    memory_bytes: int,
-    timeout_s: float,
-) -> TiledMap:
-    return TiledMap(
-        where,
-        cache=cache,
-        cache_bytes=cache_bytes,
-        memory_bytes=memory_bytes,
-        timeout_s=timeout_s,
-    )
 
 
 def _users_cache(where: str) -> Path:
