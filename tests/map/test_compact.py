@@ -6,7 +6,6 @@ import json
 import pickle
 import zlib
 from collections.abc import Callable
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from samples.mapfiles import assert_identical, assert_refused, header_end, with_header
 from samples.maps import town
+from scipy.spatial import cKDTree
 
 from segloc import SegmentMap, _native
 from segloc.map import coding
-from segloc.map import file as mapfile
 from segloc.map.coding import MAX_GROWTH
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
@@ -127,8 +126,6 @@ def test_compact_maps_are_small_and_come_back(
 def test_what_is_rounded_stays_near() -> None:
     made, config = town(), CompactConfig(max_views=0)
     small = compacted(made, config)
-    from scipy.spatial import cKDTree
-
     _, rows = cKDTree(made.centroids).query(small.centroids)
     assert len(np.unique(rows)) == len(made) == len(small)
     assert np.abs(small.centroids - made.centroids[rows]).max() <= 1 / 128
@@ -196,6 +193,7 @@ def _recipe(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
         (lambda h: h["__metadata__"].update(segmap_version="1"), "is U8"),
         (_recipe("cloud", shape=[2**40, 3]), "cannot unpack"),
         (_recipe("vectors", shape=[2**40, 7]), "cannot unpack"),
+        (_recipe("vectors", shape=[(1 << 26) // 7, 7]), "cannot unpack"),
         (_recipe("vectors", shape=[-1, 7]), "unreadable coding"),
         (_recipe("vectors", shape=[1, 7]), r"is F32 \(1, 7\), not F32|are? .*\(1,"),
         (_recipe("vectors", width=3), "unreadable coding"),
@@ -226,21 +224,12 @@ def test_forged_recipes_are_refused(
     assert_refused(tmp_path / "a.segmap", with_header(packed[1], change, sign=True), fault)
 
 
-def test_a_bomb_inflates_to_no_more_than_it_may(
-    tmp_path: Path, packed: tuple[SegmentMap, bytes]
-) -> None:
-    """A sound header over zeros that inflate to a thousand times their size."""
+def test_a_bomb_inflates_to_no_more_than_it_may() -> None:
+    """Zeros that would inflate to a thousand times their size."""
     bomb = zlib.compress(bytes(1 << 26), 9)
     assert len(bomb) < (1 << 26) // MAX_GROWTH
     with pytest.raises(coding.CodingError, match="does not inflate to 1000 bytes"):
         coding.inflated(bomb, 1000)
-
-    def swollen(header: dict[str, Any]) -> None:
-        _recipe("vectors", shape=[(1 << 26) // 7, 7])(header)
-
-    assert_refused(
-        tmp_path / "a.segmap", with_header(packed[1], swollen, sign=True), "cannot unpack"
-    )
 
 
 def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:
@@ -250,4 +239,3 @@ def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:
     assert b'"segmap_version":"1"' in header and b'"coding"' not in header
     assert_identical(made, SegmentMap.load(tmp_path / "a.segmap"))
     assert compacted(made, CompactConfig(enabled=False)) is made
-    assert prod(mapfile.read(tmp_path / "a.segmap").arrays["cloud"].shape) == made.cloud.size

@@ -12,13 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.maps import make_map
-from samples.plaza import Plaza, PlazaSequence
-from samples.walk import as_folder
 
-from segloc import Config, SegmentMap, build_map
+from segloc import SegmentMap
 from segloc.system.files import replacing
 from segloc.system.locks import exclusive
-from segloc.types import as_recording
 
 SEGLOC = [sys.executable, "-c", "from segloc.cli import main; main()"]
 HOLD = """
@@ -39,18 +36,6 @@ with replacing(sys.argv[1]) as stream:
 """
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
-    """A map of a plaza, and the walk as a folder of scans with poses."""
-    folder, walk = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=5)
-    config = Config.preset("geo").model_copy(update={"threads": 1})
-    build_map(walk, config).save(folder / "site.segmap")
-    for name, seed in (("one", 100), ("two", 200)):
-        scans = [plaza.scan(T, seed=seed + i) for i, T in enumerate(walk.poses)]
-        as_folder(folder / name, as_recording(scans))
-    return folder
-
-
 def started(code: str, path: Path) -> subprocess.Popen[str]:
     child = subprocess.Popen(
         [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
@@ -68,10 +53,10 @@ def names(folder: Path) -> list[str]:
 def test_of_two_updates_at_once_both_sessions_are_there(place: Path, tmp_path: Path) -> None:
     site = tmp_path / "site.segmap"
     site.write_bytes((place / "site.segmap").read_bytes())
-    command = [*SEGLOC, "map", "update", site, "--out", site, "--threads", "1", "--poses"]
+    command = [*SEGLOC, "map", "update", str(site), "--out", str(site), "--threads", "1"]
     running = [
         subprocess.Popen(
-            [*map(str, command), str(place / name / "poses.tum"), str(place / name)],
+            [*command, str(place / name), "--poses", "poses.tum"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

@@ -14,12 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.maps import make_map
-from samples.plaza import Plaza, PlazaSequence
-from samples.walk import as_folder
 
-from segloc import Config, SegmentMap, build_map
+from segloc import SegmentMap
 from segloc.errors import SeglocError
-from segloc.types import as_recording
 
 pytestmark = [
     pytest.mark.slow,
@@ -53,17 +50,6 @@ def names(folder: Path) -> list[str]:
 def assert_one_line(errors: str, match: str) -> None:
     output = [line for line in errors.splitlines() if not line.startswith("segloc: note: ")]
     assert len(output) == 1 and re.match(rf"segloc: {match}", output[0]), errors
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory, plaza: Plaza) -> Path:
-    folder, walk = tmp_path_factory.mktemp("place"), PlazaSequence(plaza, steps=6)
-    config = Config.preset("geo").model_copy(update={"threads": 1})
-    build_map(walk, config).save(folder / "site.segmap")
-    for name, seed in (("one", 0), ("two", 50)):
-        scans = [plaza.scan(T, seed=seed + i) for i, T in enumerate(walk.poses)]
-        as_folder(folder / name, as_recording(scans))
-    return folder
 
 
 def test_a_device_that_is_full_is_refused(place: Path) -> None:

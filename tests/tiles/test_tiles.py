@@ -260,7 +260,7 @@ def test_what_was_used_last_is_kept_within_its_bytes(cut: Path) -> None:
     made: list[int] = []
 
     def make(k: int) -> int:
-        return recent.get(k, int, lambda: made.append(k) or k, lambda _: 40)
+        return recent.get(k, lambda: made.append(k) or k, lambda _: 40)
 
     assert [make(k) for k in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
     assert made == [1, 2, 3, 2, 1] and recent.bytes == 80  # 2 went for 3, 1 for 2, and 3 for 1

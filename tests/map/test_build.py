@@ -1,4 +1,4 @@
-"""Maps of arrays and poses in memory; what is wrong with them is told in one line."""
+"""Maps of recordings and of arrays in memory; what is wrong with them is told in one line."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import Walk
 
 import segloc
-from segloc import Config, MemoryRecording, Scan, SeglocError, SegmentMap, build_map
+from segloc import Config, Localizer, MemoryRecording, Scan, SeglocError, SegmentMap, build_map
+from segloc.map.build import NARROW_SEGMENTATION, NARROW_VIEWS, adapted_to_view
 from segloc.types import Float64
 
 CONFIG = Config(threads=1)
@@ -110,3 +112,27 @@ def test_what_is_wrong_is_told_in_one_line(
 def test_a_wrong_configuration_is_a_config_error(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(segloc.ConfigError, match=message):
         make()
+
+
+def in_view(points: Float64) -> Float64:
+    """What a sensor that sees 120 degrees has of a scan."""
+    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
+
+
+def test_settings_follow_the_field_of_view_where_they_have_their_defaults() -> None:
+    full, narrow, config = Walk(), Walk(in_view), Config()
+    adapted = adapted_to_view(config, [narrow])
+    assert adapted.mapping.views == NARROW_VIEWS
+    assert adapted.segmentation == NARROW_SEGMENTATION
+    assert adapted_to_view(config, [full]) is config
+    assert adapted_to_view(config, [narrow, full]) is config
+    chosen = config.model_copy(
+        update={"mapping": config.mapping.model_copy(update={"views": config.mapping.views[:1]})}
+    )
+    assert adapted_to_view(chosen, [narrow]) is chosen
+
+
+@pytest.mark.slow
+def test_queries_in_a_map_of_a_narrow_sensor_are_segmented_like_it() -> None:
+    localizer = Localizer(build_map(Walk(in_view), Config()))
+    assert localizer.config.segmentation == NARROW_SEGMENTATION
