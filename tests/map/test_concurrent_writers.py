@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def test_a_killed_holder_blocks_nobody(tmp_path: Path) -> None:
 def test_locks_are_passed_on_one_at_a_time(tmp_path: Path) -> None:
     inside, most = [0], [0]
 
-    def work() -> None:
+    def work(_: int) -> None:
         for _ in range(8):
             with exclusive(tmp_path / "a"):
                 inside[0] += 1
@@ -102,11 +103,8 @@ def test_locks_are_passed_on_one_at_a_time(tmp_path: Path) -> None:
                 time.sleep(0.0005)
                 inside[0] -= 1
 
-    threads = [threading.Thread(target=work) for _ in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(6) as threads:
+        list(threads.map(work, range(6)))
     assert (inside, most) == ([0], [1])
     assert names(tmp_path) == []
 
@@ -144,20 +142,16 @@ def test_a_writer_that_cannot_be_seen_but_holds_its_lock_is_left_alone(
 
 
 def test_many_writers_of_one_file_never_break_it(tmp_path: Path) -> None:
-    path, failures = tmp_path / "a.segmap", []
+    path = tmp_path / "a.segmap"
     make_map(1).save(path)
 
     def write(seed: int) -> None:
-        try:
-            for k in range(5):
-                make_map(1, seed=10 * seed + k).save(path)
-        except Exception as error:  # whatever it is
-            failures.append(error)
+        for k in range(5):
+            make_map(1, seed=10 * seed + k).save(path)
 
-    threads = [threading.Thread(target=write, args=(seed,)) for seed in range(4)]
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads):
-        assert len(SegmentMap.load(path)) == 3
-    assert not failures
+    with ThreadPoolExecutor(4) as threads:
+        writers = [threads.submit(write, seed) for seed in range(4)]
+        while not all(writer.done() for writer in writers):
+            assert len(SegmentMap.load(path)) == 3
+    assert [writer.exception() for writer in writers] == [None] * 4
     assert names(tmp_path) == ["a.segmap"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,9 +17,8 @@ from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.segment_map import along
+from segloc.map.segment_map import along, replaced
 from segloc.map.update import update_map
-from segloc.map.voxel_cloud import VoxelCloud
 from segloc.tiles import TiledMap, cut_tiles, merge_into_tiles, tiled_map, update_tiles
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
@@ -320,20 +318,8 @@ def test_of_several_writers_none_is_lost(whole: SegmentMap, tmp_path: Path, wher
     cut_tiles(whole, place, size_m=50.0, margin_m=20.0)
     extent = whole.origin[:2] + whole.cloud[:, :2].mean(axis=0)
     others = [session_of(whole, extent + 6.0 * k, 15.0, 0.25 + 0.1 * k) for k in range(3)]
-    failures: list[BaseException] = []
-
-    def write(other: SegmentMap) -> None:
-        try:
-            merge_into_tiles(place, other, elsewhere=True)
-        except BaseException as error:
-            failures.append(error)
-
-    threads = [threading.Thread(target=write, args=(other,)) for other in others]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not failures
+    with ThreadPoolExecutor(3) as threads:
+        list(threads.map(lambda other: merge_into_tiles(place, other, elsewhere=True), others))
     tiles = TiledMap(place, cache=tmp_path / "cache")
     joined = tiles.together(tiles.index.tiles)
     assert len(np.unique(joined.session)) == len(np.unique(whole.session)) + len(others)
@@ -347,27 +333,20 @@ def session_of(whole: SegmentMap, centre: Any, radius: float, aside: float = 0.2
     columns["stamps"] = part.stamps + 1e5 * aside
     columns["session"] = np.zeros(len(part), np.int32)
     columns["missed"] = np.zeros(len(part), np.int32)
-    cloud = VoxelCloud(part.cloud, part.origin, part.cloud_voxel)
     path = np.stack([geometry.yaw_transform(0.0, (*centre, 301.0 + k)) for k in range(2)])
-    made = SegmentMap(part.descriptor, part.fingerprint, columns, cloud, path, part.metadata)
-    return compacted(made, CompactConfig())
+    return compacted(replaced(part, segments=columns, trajectory=path), CompactConfig())
 
 
 # --- localization ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def site(plaza_map: SegmentMap) -> SegmentMap:
-    return plaza_map
-
-
 @pytest.mark.slow
 def test_a_place_is_found_in_tiles_as_in_the_whole(
-    plaza: Plaza, site: SegmentMap, tmp_path: Path
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
-    cut_tiles(site, tmp_path, size_m=50.0)
+    cut_tiles(plaza_map, tmp_path, size_m=50.0)
     localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
-    found, whole = localizer.localize(scan), Localizer(site).localize(scan)
+    found, whole = localizer.localize(scan), Localizer(plaza_map).localize(scan)
     assert found.localized and np.allclose(found.T_map_sensor, whole.T_map_sensor, atol=0.02)
     near = localizer.localize(scan, near=((5.0, 0.0), 20.0))
     assert near.localized and np.allclose(near.T_map_sensor, whole.T_map_sensor, atol=0.02)
@@ -383,9 +362,9 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
 
 @pytest.mark.slow
 def test_a_robot_is_followed_from_tile_to_tile(
-    plaza: Plaza, site: SegmentMap, tmp_path: Path
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
-    cut_tiles(site, tmp_path, size_m=50.0)
+    cut_tiles(plaza_map, tmp_path, size_m=50.0)
     tiles = TiledMap(tmp_path)
     assert len(tiles) > 1
     T_map_odom = geometry.yaw_transform(2.0, (300.0, 20.0, 1.0))
@@ -403,9 +382,9 @@ def test_a_robot_is_followed_from_tile_to_tile(
 
 @pytest.mark.slow
 def test_a_localizer_in_tiles_is_one_like_others(
-    plaza: Plaza, site: SegmentMap, tmp_path: Path
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
-    cut_tiles(site, tmp_path, size_m=50.0)
+    cut_tiles(plaza_map, tmp_path, size_m=50.0)
     localizer, scan = Localizer(TiledMap(tmp_path), GEO), plaza.scan(TRUE, seed=77)
     again = pickle.loads(pickle.dumps(localizer))
     a, b = localizer.localize(scan), again.localize(scan)
@@ -417,16 +396,16 @@ def test_a_localizer_in_tiles_is_one_like_others(
 
 @pytest.mark.slow
 def test_a_session_updates_the_tiles_that_it_reaches(
-    plaza: Plaza, site: SegmentMap, tmp_path: Path
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
     """As it does a map in one piece; what stands elsewhere is not read."""
     shift = np.array([2000.0, 0.0, 0.0])
-    both = repeated(site, shift)
+    both = repeated(plaza_map, shift)
     session = PlazaSequence(plaza, steps=8)
     cut_tiles(both, tmp_path, size_m=50.0)
     before = {tile.cell: tile.file for tile in TiledMap(tmp_path).index.tiles}
     changed, counts = update_tiles(tmp_path, session, GEO)
-    expected, whole_counts = update_map(site, session, GEO)
+    expected, whole_counts = update_map(plaza_map, session, GEO)
     assert counts == whole_counts
     after = TiledMap(tmp_path)
     far = {cell: file for cell, file in before.items() if cell[0] > 20}
@@ -442,8 +421,8 @@ def test_a_session_updates_the_tiles_that_it_reaches(
 
 
 @pytest.mark.slow
-def test_ambiguity_spans_tiles(plaza: Plaza, site: SegmentMap, tmp_path: Path) -> None:
-    many = repeated(site, *AWAY)
+def test_ambiguity_spans_tiles(plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path) -> None:
+    many = repeated(plaza_map, *AWAY)
     index = cut_tiles(many, tmp_path, size_m=200.0)
     localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     assert len(index.tiles) > 10
@@ -456,10 +435,10 @@ def test_ambiguity_spans_tiles(plaza: Plaza, site: SegmentMap, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_what_stands_nowhere_is_refused_by_its_segments(
-    site: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plaza_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No clouds are compared, and of all tiles only few are opened; but these must be there."""
-    index = cut_tiles(repeated(site, *AWAY), tmp_path, size_m=100.0)
+    index = cut_tiles(repeated(plaza_map, *AWAY), tmp_path, size_m=100.0)
     elsewhere = Plaza(seed=4242).scan(TRUE, seed=77)
     localizer, opened = Localizer(TiledMap(tmp_path)), list[str]()
     plain = TiledMap.tile

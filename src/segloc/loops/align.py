@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ..config import Config
 from ..errors import ConfigError
-from ..types import Float64, Int64, Recording, Scanned, as_recording
+from ..types import Float64, Int64, Scanned, as_recording
 from .config import AlignConfig
 from .consistency import supported
 from .loops import Chain, Loop, edges_of, neighbours
@@ -107,7 +107,12 @@ def align_sessions(
     sessions = [Session.of(k, recording, settings) for k, recording in enumerate(opened)]
     chain = Chain.of(sessions, settings.part_m)
     with open_workspace(config, settings, executor, folder) as own:
-        describe_all(own, _tasks(opened, sessions, settings), stage)
+        owner = [int(chain.session[nodes[0]]) for nodes in chain.parts]
+        described = [
+            Described(k, recording, session, chain.first(k), owner.index(k))
+            for k, (recording, session) in enumerate(zip(opened, sessions, strict=True))
+        ]
+        describe_all(own, described, stage)
         with stage("Searching loops") as update:
             found = find_loops(own, chain, update)
         graph = SessionGraph(chain, supported(chain, found, settings), settings)
@@ -118,17 +123,6 @@ def align_sessions(
                 dense = tie(own, pairs, update)
             graph.tie_neighbours(dense)
     return _alignment(sessions, chain, graph)
-
-
-def _tasks(
-    recordings: Sequence[Recording], sessions: Sequence[Session], settings: AlignConfig
-) -> list[Described]:
-    tasks, submap, part = [], 0, 0
-    for k, (recording, session) in enumerate(zip(recordings, sessions, strict=True)):
-        tasks.append(Described(k, recording, session, submap, part))
-        submap += len(session.anchors)
-        part += len(session.parts(settings.part_m))
-    return tasks
 
 
 def _alignment(sessions: Sequence[Session], chain: Chain, graph: SessionGraph) -> Alignment:

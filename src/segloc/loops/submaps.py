@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,7 +14,7 @@ from ..descriptors import Descriptor, create
 from ..errors import DatasetError
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.segmentation import Segmentation, Segmenter
-from ..map.build import View, add_view, empty_map
+from ..map.build import View, add_view
 from ..map.segment_map import SegmentMap
 from ..types import Descriptors, Float32, Float64, Int64, LocalCloud, Pose, Recording, Segments
 from .config import AlignConfig
@@ -100,33 +100,6 @@ class Session:
         """Split the submaps into stretches of a length, short enough for little drift."""
         stretch = (self.node_travelled // length_m).astype(np.int64)
         return np.split(np.arange(len(self.anchors)), np.flatnonzero(np.diff(stretch)) + 1)
-
-
-def describe_session(
-    recording: Recording,
-    session: Session,
-    config: Config,
-    settings: AlignConfig,
-    progress: Progress | None = None,
-) -> Iterator[tuple[list[Submap], SegmentMap]]:
-    """Yield the submaps of each part, and its map in the session's own frame.
-
-    Raises
-    ------
-    DatasetError
-        If a scan cannot be read.
-    """
-    reader = Reader(recording, session.poses, config)
-    done = 0
-    for nodes in session.parts(settings.part_m):
-        part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
-        submaps = []
-        for anchor in session.anchors[nodes]:
-            submaps.append(reader.submap(int(anchor), settings, part))
-            done += 1
-            if progress:
-                progress(done, len(session.anchors))
-        yield submaps, part
 
 
 class Reader:

@@ -17,6 +17,7 @@ from ..config import Config
 from ..errors import DatasetError
 from ..frontend.segmentation import Segmentation
 from ..localizer import Localizer
+from ..map.build import empty_map
 from ..map.segment_map import SegmentMap
 from ..system.files import folder_in, replacing
 from ..system.processes import all_of
@@ -32,7 +33,7 @@ from .loops import (
     loop_in_part,
     query_of,
 )
-from .submaps import Progress, Session, Submap, describe_session
+from .submaps import Progress, Reader, Session, Submap
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
 Task = TypeVar("Task")
@@ -100,23 +101,24 @@ def describe(workspace: Workspace, task: Described, progress: Progress | None = 
     Raises
     ------
     DatasetError
-        If it has no segments; names the session.
+        If a scan cannot be read, or there are no segments; names the session.
     """
-    submap, segments = task.first_submap, 0
+    store, config, settings = workspace.store, workspace.config, workspace.settings
+    session, segments = task.session, 0
     try:
-        parts = describe_session(
-            task.recording, task.session, workspace.config, workspace.settings, progress
-        )
-        for k, (submaps, prior_map) in enumerate(parts, task.first_part):
-            for each in submaps:
-                workspace.store.put(submap, each)
-                submap += 1
-            workspace.store.put_map(f"part_{k}", prior_map)
-            workspace.store.put_map(f"thin_{k}", thin(prior_map))
-            segments += len(prior_map)
+        reader = Reader(task.recording, session.poses, config)
+        for k, nodes in enumerate(session.parts(settings.part_m), task.first_part):
+            part = empty_map(reader.descriptor, config, session.poses[0, :3, 3])
+            for node in nodes.tolist():
+                submap = reader.submap(int(session.anchors[node]), settings, part)
+                store.put(task.first_submap + node, submap)
+                if progress:
+                    progress(node + 1, len(session.anchors))
+            store.put_map(f"part_{k}", part)
+            store.put_map(f"thin_{k}", thin(part))
+            segments += len(part)
         if not segments:
-            scans = len(task.recording)
-            raise DatasetError(f"{task.session.name}: no segments in {scans} scans")
+            raise DatasetError(f"{session.name}: no segments in {len(task.recording)} scans")
     except DatasetError as error:  # names of sessions may repeat, so give the number, too
         raise DatasetError(f"session {task.number}: {error}") from error
 
