@@ -22,15 +22,15 @@ NAN, INF = float("nan"), float("inf")
 CHANGES: dict[str, tuple[tuple[int, ...], float]] = {
     f"{name}-{value:g}": (index, value)
     for name, index, values in [
-        ("origin", (1,), (-INF, 1e9)),
-        ("centroids", (4, 2), (INF, 1e12)),
-        ("stamps", (5,), (INF,)),
-        ("trajectory", (1, 0, 3), (INF, 1e12)),
+        ("origin", (1,), (NAN, -INF, 1e9)),
+        ("centroids", (4, 2), (NAN, INF, 1e12)),
+        ("stamps", (5,), (NAN, INF)),
+        ("trajectory", (1, 0, 3), (NAN, INF, 1e12)),
         ("trajectory", (1, 0, 0), (0.5, -1)),
         ("trajectory", (1, 3, 3), (2,)),
-        ("vectors", (2, 1), (INF, 1e30)),
-        ("quality", (3,), (-0.01, 1.01)),
-        ("cloud", (7, 1), (INF, 5e6)),
+        ("vectors", (2, 1), (NAN, INF, 1e30)),
+        ("quality", (3,), (NAN, -0.01, 1.01)),
+        ("cloud", (7, 1), (NAN, INF, 5e6)),
         ("sizes", (1,), (-1,)),
         ("missed", (2,), (-1,)),
     ]
@@ -95,20 +95,6 @@ def test_texts_are_refused(
     changes: dict[str, Any], match: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert_refused(tmp_path / "bad.segmap", contents(**changes), match, monkeypatch)
-
-
-def test_one_nan_anywhere_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, path = np.random.default_rng(0), tmp_path / "bad.segmap"
-    floats = [name for name, array in contents().arrays.items() if array.dtype.kind == "f"]
-    for name in floats:
-        forged = contents()
-        flat = forged.arrays[name].reshape(-1)
-        place = int(rng.integers(len(flat)))
-        flat[place] = NAN
-        write_unchecked(path, forged, monkeypatch)
-        row = place // (flat.size // len(forged.arrays[name]))
-        with pytest.raises(MapFormatError, match=rf"{name}: row {row} has nan: not finite"):
-            SegmentMap.load(path)
 
 
 def test_the_limits_themselves_are_allowed(tmp_path: Path) -> None:
