@@ -63,11 +63,16 @@ def check(served: Served, shift: Float64) -> None:
     assert at(17.0, 3.0) == 0
 
 
+def served(prior_map: SegmentMap, folder: Path, *grid: float) -> Served:
+    prior_map.save(folder / "hall.segmap")
+    export(folder / "hall.segmap", "nav2", folder / "nav", Options(grid=GridOptions(*grid)))
+    return Served(folder / "nav")
+
+
 @pytest.mark.parametrize("shift", [np.zeros(3), UTM])
 def test_the_grid_of_a_cloud_fits_its_frame(tmp_path: Path, shift: Float64) -> None:
-    SegmentMap.from_cloud(hall() + shift, Config(threads=1)).save(tmp_path / "hall.segmap")
-    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav")
-    check(Served(tmp_path / "nav"), shift)
+    prior_map = SegmentMap.from_cloud(hall() + shift, Config(threads=1))
+    check(served(prior_map, tmp_path), shift)
 
 
 def test_the_grid_of_scans_is_free_where_the_sensor_was(tmp_path: Path) -> None:
@@ -77,21 +82,16 @@ def test_the_grid_of_scans_is_free_where_the_sensor_was(tmp_path: Path) -> None:
     follower = np.random.default_rng(1).uniform([3.9, 4.9, 0.1], [4.1, 5.1, 1.6], (300, 3))
     seen = [np.concatenate([cloud, follower]) - T[:3, 3] for T in poses]
     scans = [Scan(points, T_odom_sensor=T) for points, T in zip(seen, poses, strict=True)]
-    build_map(scans, Config(threads=1)).save(tmp_path / "hall.segmap")
-    options = Options(grid=GridOptions(0.1, 0.4, 1.8))
-    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav", options)
-    served = Served(tmp_path / "nav")
-    check(served, np.zeros(3))
-    assert served.at(4.0, 5.0) == 0
+    grid = served(build_map(scans, Config(threads=1)), tmp_path, 0.1, 0.4, 1.8)
+    check(grid, np.zeros(3))
+    assert grid.at(4.0, 5.0) == 0
 
 
 def test_a_slice_leaves_out_what_is_above_it(tmp_path: Path) -> None:
-    SegmentMap.from_cloud(hall(), Config(threads=1)).save(tmp_path / "hall.segmap")
-    options = Options(grid=GridOptions(0.1, 1.8, 2.4))
-    export(tmp_path / "hall.segmap", "nav2", tmp_path / "nav", options)
-    served = Served(tmp_path / "nav")
-    assert served.at(0.1, 5.0) == 100
-    assert served.at(12.0, 5.0) != 100
+    prior_map = SegmentMap.from_cloud(hall(), Config(threads=1))
+    grid = served(prior_map, tmp_path, 0.1, 1.8, 2.4)
+    assert grid.at(0.1, 5.0) == 100
+    assert grid.at(12.0, 5.0) != 100
 
 
 def test_absurd_slices_are_refused() -> None:

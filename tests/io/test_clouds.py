@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.e57 import e57_file
+from samples.io import pcd, ply
 
 from segloc import DatasetError, geometry
 from segloc.io import clouds, text, write_scan
@@ -26,29 +27,11 @@ def read(path: Path) -> Float64:
     return np.concatenate(list(read_cloud(path)))
 
 
-def pcd(points: Float64, encoding: str, size: int = 8) -> bytes:
-    head = (
-        f"# .PCD\nVERSION 0.7\nFIELDS intensity x y z\nSIZE 4 {size} {size} {size}\nTYPE F F F F\n"
-        f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA {encoding}\n"
-    )
-    if encoding == "ascii":
-        return (head + "".join(f"0 {x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points)).encode()
-    rows = np.zeros(len(points), [("i", "<f4"), ("xyz", f"<f{size}", 3)])
-    rows["xyz"] = points
-    return head.encode() + rows.tobytes()
-
-
-def ply(points: Float64, is_text: bool) -> bytes:
-    kind = "ascii" if is_text else "binary_big_endian"
-    head = (
-        f"ply\nformat {kind} 1.0\nelement vertex {len(points)}\nproperty double x\n"
-        "property double y\nproperty double z\nproperty uchar red\nend_header\n"
-    )
-    if is_text:
-        return (head + "".join(f"{x:.3f} {y:.3f} {z:.3f} 7\n" for x, y, z in points)).encode()
-    rows = np.zeros(len(points), [("xyz", ">f8", 3), ("red", "u1")])
-    rows["xyz"] = points
-    return head.encode() + rows.tobytes()
+def rows(points: Float64, size: int = 8) -> np.ndarray:
+    made = np.zeros(len(points), [("red", "<f4"), *((axis, f"<f{size}") for axis in "xyz")])
+    for axis, values in zip("xyz", points.T, strict=True):
+        made[axis] = values
+    return made
 
 
 @pytest.mark.parametrize("name", ["a.pcd", "b.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv"])
@@ -58,15 +41,15 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
     monkeypatch.setattr(clouds, "PART", 1000)
     monkeypatch.setattr(text, "_BLOCK", 40_000)
     there = points + UTM
-    rows = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
+    lines = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
     data = {
-        "a.pcd": lambda: pcd(there, "binary"),
-        "b.pcd": lambda: pcd(there, "ascii"),
-        "a.ply": lambda: ply(there, is_text=False),
-        "b.ply": lambda: ply(there, is_text=True),
+        "a.pcd": lambda: pcd(rows(there), "binary"),
+        "b.pcd": lambda: pcd(rows(there), "ascii"),
+        "a.ply": lambda: ply(rows(there), "binary_big_endian", faces=[]),
+        "b.ply": lambda: ply(rows(there), "ascii", faces=[]),
         "a.laz": lambda: format_laz(there, offset=UTM),
-        "a.xyz": lambda: f"2500\n{rows}".encode(),
-        "a.csv": lambda: f"X,Y,Z,i\n{rows.replace(' ', ',')}".encode(),
+        "a.xyz": lambda: f"2500\n{lines}".encode(),
+        "a.csv": lambda: f"X,Y,Z,i\n{lines.replace(' ', ',')}".encode(),
     }[name]()
     (tmp_path / name).write_bytes(data)
     parts = list(read_cloud(tmp_path / name))
@@ -92,7 +75,7 @@ def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
     folder.mkdir(parents=True)
     left = points[:, 0] < 0
     for k, part in enumerate((points[left], points[~left])):
-        (folder / f"{20 * k}_0.pcd").write_bytes(pcd(part, "binary", size=4))
+        (folder / f"{20 * k}_0.pcd").write_bytes(pcd(rows(part, size=4), "binary"))
     (tmp_path / "map" / "pointcloud_map_metadata.yaml").write_text("x_resolution: 20\n")
     for where in (folder, tmp_path / "map"):
         assert len(read(where)) == len(points)
@@ -105,8 +88,8 @@ def test_a_dump_of_glim(tmp_path: Path, points: Float64) -> None:
     inside = geometry.transform(geometry.inverse(T), points)
     inside.astype("<f4").tofile(folder / "points_compact.bin")
     inside.astype("<f4").tofile(folder / "covs_compact.bin")
-    rows = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in T)
-    (folder / "data.txt").write_text(f"id: 0\nT_world_origin: \n{rows}\nnum_frames: 1\n")
+    matrix = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in T)
+    (folder / "data.txt").write_text(f"id: 0\nT_world_origin: \n{matrix}\nnum_frames: 1\n")
     assert np.abs(read(tmp_path / "dump") - points).max() < 1e-4
 
 
@@ -124,10 +107,10 @@ def test_results_of_kiss_slam(tmp_path: Path, points: Float64) -> None:
     ("name", "data", "message"),
     [
         ("a.pcd", b"VERSION 0.7\n", "not a PCD file"),
-        ("b.pcd", pcd(np.ones((50, 3)), "binary")[:-9], "cut off"),
+        ("b.pcd", pcd(rows(np.ones((50, 3))), "binary")[:-9], "cut off"),
         ("a.ply", b"ply\n", "header"),
         ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
-        ("c.pcd", pcd(np.ones((50, 3)), "ascii")[:-40], "50 points, but there are"),
+        ("c.pcd", pcd(rows(np.ones((50, 3))), "ascii")[:-40], "50 points, but there are"),
         ("a.laz", b"LASF" + bytes(300), "cannot decode"),
         ("a.doc", b"text", "not a point cloud"),
     ],

@@ -115,7 +115,6 @@ def test_pcd_of_any_layout(
         assert scan.times is None
     else:
         factor = 1e-9 if time[1] == "<u4" else 1.0
-        assert scan.times is not None
         np.testing.assert_allclose(scan.times, rows[time[0]].astype(np.float64) * factor)
 
 
@@ -143,7 +142,6 @@ def test_ply_of_any_order_and_layout(order: str, faces_first: bool) -> None:
     faces = [[1, 2, 3]] * 5 + [[], [1], list(range(19))]
     scan = parse_ply(io_samples.ply(rows, order, faces=faces, faces_first=faces_first))
     np.testing.assert_array_equal(scan.points, cloud(20))
-    assert scan.times is not None
     np.testing.assert_allclose(scan.times, np.arange(20) * 1e-6)
 
 
@@ -164,7 +162,6 @@ def test_points_that_are_not_finite_go_with_their_times(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(data)
         scan = read_scan(tmp_path / name)
         assert scan.dropped == 3
-        assert scan.times is not None
         assert scan.times.tolist() == [0, 2, 5], name
         np.testing.assert_array_equal(scan.points, cloud(6)[[0, 2, 5]])
 
@@ -179,7 +176,6 @@ def test_text_tables() -> None:
         np.testing.assert_array_equal(parse_csv(text.encode()).points, expected)
     np.testing.assert_array_equal(parse_txt(b"// c\n# d\n1 2 3\n#e\n4 5 6.5").points, expected)
     timed = parse_csv(b"Time,x,y,z\n0.5,1,2,3\n0.75,4,5,6.5")
-    assert timed.times is not None
     assert timed.times.tolist() == [0.5, 0.75]
 
 
@@ -286,24 +282,20 @@ def test_text_as_other_programs_write_it(name: str, text: str, count: int, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("lines", "kind"),
+    ("fields", "kind", "size", "encoding"),
     [
-        (
-            "FIELDS X Y Z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2",
-            "binary",
-        ),
-        (
-            "FIELDS x y z\nSIZE 4 4 4\nTYPE f f f\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2",
-            "BINARY",
-        ),
-        (
-            "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 0\nHEIGHT 0\nPOINTS 2",
-            "binary",
-        ),
+        ("X Y Z", "F F F", "WIDTH 2\nHEIGHT 1", "binary"),
+        ("x y z", "f f f", "WIDTH 2\nHEIGHT 1", "BINARY"),
+        ("x y z", "F F F", "WIDTH 0\nHEIGHT 0", "binary"),
     ],
 )
-def test_headers_of_pcd_as_other_programs_write_them(lines: str, kind: str, tmp_path: Path) -> None:
+def test_headers_of_pcd_as_other_programs_write_them(
+    fields: str, kind: str, size: str, encoding: str, tmp_path: Path
+) -> None:
     points = np.arange(6, dtype="<f4").reshape(2, 3)
-    header = f"VERSION 0.7\n{lines}\nDATA {kind}\n"
+    header = (
+        f"VERSION 0.7\nFIELDS {fields}\nSIZE 4 4 4\nTYPE {kind}\nCOUNT 1 1 1\n{size}\n"
+        f"POINTS 2\nDATA {encoding}\n"
+    )
     (tmp_path / "a.pcd").write_bytes(header.encode() + points.tobytes())
     np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd").points, points)

@@ -14,10 +14,9 @@ from scipy.spatial.transform import Rotation
 from ..errors import DatasetError
 from ..io.fields import one_line
 from ..io.scans import read_file
-from ..io.trajectory import LONGEST_STEP_M, read_trajectory_and_kind, too_far, torn
+from ..io.trajectory import implausible, read_trajectory_and_kind, rigid_poses
 from ..motion import interpolated
 from ..system.budget import check_points
-from ..system.checks import MAX_METRES
 from ..types import Float64, Int64, Pose
 from .clocks import epoch_unit, unit_beside
 
@@ -41,15 +40,10 @@ class Track:
     note: str = ""  # what was dropped, if anything
 
     def __post_init__(self) -> None:
-        far, broken = too_far(self.poses), torn(self.poses)
-        if far.any():
-            first = int(far.argmax()) + 1
-            raise DatasetError(f"{self.source}: pose {first}: a position beyond {MAX_METRES:.0e} m")
-        if broken.any():
-            raise DatasetError(
-                f"{self.source}: pose {int(broken.argmax()) + 1}: a position more than "
-                f"{LONGEST_STEP_M / 1000:.0f} km from the one before"
-            )
+        for fault, where in implausible(self.poses).items():
+            if where.any():
+                first = int(where.argmax()) + 1
+                raise DatasetError(f"{self.source}: pose {first}: {fault}")
 
     def at(self, indices: Int64, stamps: Float64 | None) -> Float64:
         """Return T_world_sensor (N, 4, 4) at these scan numbers and stamps; NaN where unknown.
@@ -195,7 +189,7 @@ def euler_poses(xyz: Float64, angles: Float64) -> Float64:
     """
     if not len(xyz):  # older SciPy rejects empty input
         return np.empty((0, 4, 4))
-    return _assembled(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
+    return rigid_poses(xyz, Rotation.from_euler("ZYX", angles[:, ::-1]))
 
 
 def are_unit(xyzw: Float64) -> NDArray[np.bool_]:
@@ -216,7 +210,7 @@ def quaternion_poses(xyz: Float64, xyzw: Float64, where: str) -> Float64:
         raise DatasetError(
             f"{where}: row {int(good.argmin()) + 1} has a quaternion not of length 1"
         )
-    return _assembled(xyz, Rotation.from_quat(xyzw))
+    return rigid_poses(xyz, Rotation.from_quat(xyzw))
 
 
 def matrix_poses(rows: Float64, where: str) -> Float64:
@@ -233,14 +227,7 @@ def matrix_poses(rows: Float64, where: str) -> Float64:
         good = np.abs(np.linalg.det(matrices[:, :, :3]) - 1) < 0.1
     if not good.all():
         raise DatasetError(f"{where}: row {int(good.argmin()) + 1} is not a rotation")
-    return _assembled(matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]))
-
-
-def _assembled(xyz: Float64, rotations: Rotation) -> Float64:
-    poses = np.tile(np.eye(4), (len(xyz), 1, 1))
-    poses[:, :3, :3] = rotations.as_matrix()
-    poses[:, :3, 3] = xyz
-    return poses
+    return rigid_poses(matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]))
 
 
 def mount(xyz: Sequence[float], angles: Sequence[float]) -> Pose:

@@ -32,46 +32,23 @@ AUTOWARE_FOLDER, AUTOWARE_METADATA = "pointcloud_map.pcd", "pointcloud_map_metad
 
 @dataclass(frozen=True)
 class Options:
-    """Options of single formats.
+    """Options of single formats."""
 
-    Attributes
-    ----------
-    tile_m : float
-        Edge of Autoware's tiles [m].
-    epsg : int or None
-        Frame named in GeoJSON.
-    place : Place or None
-        Place of the map's origin on the globe, for GeoJSON.
-    grid : GridOptions
-        For Nav2.
-    """
-
-    tile_m: float = 20.0
-    epsg: int | None = None
-    place: Place | None = None
-    grid: GridOptions = field(default_factory=GridOptions)
+    tile_m: float = 20.0  # edge of Autoware's tiles [m]
+    epsg: int | None = None  # frame named in GeoJSON
+    place: Place | None = None  # place of the map's origin on the globe, for GeoJSON
+    grid: GridOptions = field(default_factory=GridOptions)  # for Nav2
 
 
 @dataclass(frozen=True)
 class Format:
-    """An export format.
+    """An export format."""
 
-    Attributes
-    ----------
-    of : tuple of type
-        Types of sources it accepts.
-    text : str
-        Description.
-    write : callable
-        Writes a source to a path with options; returns notes.
-    folder : bool
-        True if the output is a folder.
-    """
-
-    of: tuple[type, ...]
-    text: str
+    of: tuple[type, ...]  # types of sources it accepts
+    text: str  # description
+    # writes a source to a path with options; returns notes
     write: Callable[[Any, Path, Options], list[str]]
-    folder: bool = False
+    folder: bool = False  # True if the output is a folder
 
     @property
     def required(self) -> str:

@@ -6,7 +6,6 @@ corner, and values from 0 to 255 mean occupied, unknown or free by thresholds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,18 +31,10 @@ Grid = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class GridOptions:
-    """Parameters of a grid.
+    """Parameters of a grid."""
 
-    Attributes
-    ----------
-    resolution_m : float
-        Edge of a cell [m].
-    low_m, high_m : float
-        Height range of obstacles above ground [m].
-    """
-
-    resolution_m: float = 0.05
-    low_m: float = 0.4
+    resolution_m: float = 0.05  # edge of a cell
+    low_m: float = 0.4  # height range of obstacles above ground
     high_m: float = 1.8
 
     def __post_init__(self) -> None:
@@ -65,7 +56,7 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
     for k, (cloud, stations) in enumerate(parts):
         name = "map" if len(parts) == 1 else f"map_{k}"
         driven = stations if len(prior_map.sensor_positions) else stations[:0]
-        grid, corner = occupancy_grid(cloud, stations, prior_map.cloud_voxel, options, driven)
+        grid, corner = _occupancy_grid(cloud, stations, prior_map.cloud_voxel, options, driven)
         _write(out, name, grid, corner + prior_map.origin[:2], options)
         if len(parts) > 1 and len(stations):
             z = float(np.median(stations[:, 2]) + prior_map.origin[2])
@@ -73,23 +64,16 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
     return notes
 
 
-def occupancy_grid(
+def _occupancy_grid(
     cloud: Float32, path: Float64, voxel: float, options: GridOptions, driven: Float64
 ) -> tuple[Grid, Float64]:
     """Return the grid of a cloud, rows rising with y, and its lower left corner.
 
     Visible ground is free; points above it within the height range are occupied.
 
-    Parameters
-    ----------
-    cloud : (N, 3) float32
-    path : (V, 3) float64
-        Viewpoints of the map, in the cloud's frame.
-    voxel : float
-        Spacing of the cloud's points [m].
-    options : GridOptions
-    driven : (W, 3) float64
-        Sensor positions, connected by free ground.
+    path: (V, 3) viewpoints of the map, in the cloud's frame
+    voxel: spacing of the cloud's points [m]
+    driven: (W, 3) sensor positions, connected by free ground
     """
     edge = options.resolution_m
     heights = cloud[:, 2] - ground_of(cloud, path, SegmentationConfig())[1]
@@ -138,10 +122,9 @@ def _write(out: Path, name: str, grid: Grid, corner: Float64, options: GridOptio
     with replacing(out / f"{name}.pgm") as stream:
         stream.write(f"P5\n{width} {height}\n255\n".encode("ascii"))
         stream.write(np.ascontiguousarray(grid[::-1]).tobytes())
-    write_text(out / f"{name}.yaml", "".join(_yaml(name, corner, options)))
-
-
-def _yaml(name: str, corner: Float64, options: GridOptions) -> Iterator[str]:
-    yield f"image: {name}.pgm\nmode: trinary\nresolution: {options.resolution_m:g}\n"
-    yield f"origin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"
-    yield "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    text = (
+        f"image: {name}.pgm\nmode: trinary\nresolution: {options.resolution_m:g}\n"
+        f"origin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    )
+    write_text(out / f"{name}.yaml", text)

@@ -17,13 +17,7 @@ from ..map.segment_map import SegmentMap
 
 @dataclass(frozen=True)
 class MapSource:
-    """A map to export.
-
-    Attributes
-    ----------
-    path : path
-    prior_map : SegmentMap
-    """
+    """A map to export."""
 
     path: Path
     prior_map: SegmentMap
@@ -32,46 +26,23 @@ class MapSource:
 
 @dataclass(frozen=True)
 class FoundSource:
-    """Results of `segloc localize` or `segloc live`.
+    """Results of `segloc localize` or `segloc live`."""
 
-    Attributes
-    ----------
-    path : path
-        Output folder.
-    track : Trajectory
-        T_map_sensor by stamp, or by scan number.
-    timed : bool
-        True if by stamp.
-    georeference : Georeference or None
-        Of the map, if it has one.
-    """
-
-    path: Path
-    track: Trajectory
-    timed: bool
-    georeference: Georeference | None
+    path: Path  # output folder
+    track: Trajectory  # T_map_sensor by stamp, or by scan number
+    timed: bool  # True if by stamp
+    georeference: Georeference | None  # of the map
     what = "results of `segloc localize` or `segloc live`"
 
 
 @dataclass(frozen=True)
 class AlignedSource:
-    """Results of `segloc align`.
+    """Results of `segloc align`."""
 
-    Attributes
-    ----------
-    path : path
-        Output folder.
-    names : list of str
-        Names of the sessions.
-    components : list of list of int
-        Groups of sessions that share a frame.
-    noise : (float, float, float)
-        Errors assumed of odometry: `odometry_m`, `odometry_deg`, `odometry_scale`.
-    """
-
-    path: Path
-    names: list[str]
-    components: list[list[int]]
+    path: Path  # output folder
+    names: list[str]  # of the sessions
+    components: list[list[int]]  # groups of sessions that share a frame
+    # errors assumed of odometry: `odometry_m`, `odometry_deg`, `odometry_scale`
     noise: tuple[float, float, float]
     what = "results of `segloc align`"
 
@@ -96,12 +67,8 @@ Source: TypeAlias = MapSource | FoundSource | AlignedSource
 def open_source(path: Path) -> Source:
     """Open a map, or the results in a folder, by the files in it.
 
-    Raises
-    ------
-    DatasetError
-        If it is neither, or a file in it cannot be read.
-    MapFormatError
-        If it is a file, but not a map.
+    Raise DatasetError if it is neither, or a file in it cannot be read; MapFormatError if it is a
+    file, but not a map.
     """
     if not path.is_dir():
         return MapSource(path, SegmentMap.load(path))
@@ -109,8 +76,7 @@ def open_source(path: Path) -> Source:
         return _aligned(path)
     for kept in ("localizations.jsonl", "states.jsonl"):
         if (path / kept).is_file():
-            text = _read(path / "poses.tum")
-            timed = "no times" not in text[:300]
+            timed = "no times" not in _read(path / "poses.tum")[:300]
             track = read_trajectory(path / "poses.tum")
             return FoundSource(path, track, timed, _georeference(path))
     raise DatasetError(
@@ -142,11 +108,7 @@ def _aligned(path: Path) -> AlignedSource:
 
 
 def _read(path: Path) -> str:
-    try:
-        return read_file(path).decode("utf-8", "replace")
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise DatasetError(f"{path}: cannot be read: {reason}") from error
+    return read_file(path).decode("utf-8", "replace")
 
 
 def _parsed(text: str, where: str) -> dict[str, Any]:

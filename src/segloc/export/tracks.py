@@ -26,26 +26,14 @@ _EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84
 
 @dataclass(frozen=True)
 class Place:
-    """Place of a map's origin on the globe; its x axis points east.
+    """Place of a map's origin on the globe; its x axis points east."""
 
-    Attributes
-    ----------
-    latitude, longitude : float
-        Degrees, WGS 84.
-    """
-
-    latitude: float
+    latitude: float  # degrees, WGS 84
     longitude: float
 
     @classmethod
     def parse(cls, text: str) -> Place:
-        """Parse ``LATITUDE,LONGITUDE``.
-
-        Raises
-        ------
-        ConfigError
-            If the text is invalid.
-        """
+        """Parse ``LATITUDE,LONGITUDE``; raise ConfigError if the text is invalid."""
         try:
             latitude, longitude = (float(part) for part in text.split(","))
         except ValueError as error:
@@ -109,10 +97,11 @@ def write_geojson(
         raise ConfigError("--epsg and --at exclude each other")
     globe = _georeference(source) if epsg is None and place is None else None
     features = [_feature(name, track.poses, place or globe) for name, track, _ in tracks(source)]
-    document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    document: dict[str, Any] = {"type": "FeatureCollection"}
     if epsg is not None:
-        crs = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
-        document = {"type": "FeatureCollection", "crs": crs, "features": features}
+        name = f"urn:ogc:def:crs:EPSG::{epsg}"
+        document["crs"] = {"type": "name", "properties": {"name": name}}
+    document["features"] = features
     write_text(out, json.dumps(document, allow_nan=False) + "\n")
     if epsg is None and place is None and globe is None:
         return ["coordinates are the map's metres: --at LAT,LON or --epsg N georeferences them"]

@@ -26,7 +26,6 @@ SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
 GLIM = "points_compact.bin"
 """The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
-E57 = ".e57"
 
 Progress = Callable[[int, int], None]
 
@@ -39,10 +38,7 @@ def is_cloud(path: Path) -> bool:
 def cloud_files(path: str | Path) -> list[Path]:
     """The files of a cloud: itself, or all that lie in a folder and its folders.
 
-    Raises
-    ------
-    DatasetError
-        If there is none.
+    Raise DatasetError if there is none.
     """
     where = Path(path)
     if not where.is_dir():
@@ -109,7 +105,7 @@ def _parts(path: Path) -> Iterator[Float64]:
     suffix = path.suffix.lower()
     if path.name == GLIM:
         return iter([np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)])
-    if suffix == E57:
+    if suffix == ".e57":
         return _e57(path)
     if suffix in (".las", ".laz"):
         return _las(path)

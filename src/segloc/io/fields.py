@@ -108,26 +108,11 @@ def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | No
 
 @dataclass(frozen=True)
 class PointLayout:
-    """Position of x, y and z in a file of points of equal size.
-
-    Attributes
-    ----------
-    count : int
-        Number of points.
-    start : int
-        Offset of the points.
-    columns : (int, int, int)
-        Offsets of x, y and z in a point; in a text file their columns.
-    dtypes : tuple of dtype
-        Of x, y and z.
-    stride : int
-        Bytes per point.
-    text : bool
-    """
+    """Position of x, y and z in a file of points of equal size."""
 
     count: int
-    start: int
-    columns: tuple[int, ...]
-    dtypes: tuple[np.dtype[Any], ...] = ()
-    stride: int = 0
+    start: int  # offset of the points
+    columns: tuple[int, ...]  # offsets of x, y and z in a point; in a text file their columns
+    dtypes: tuple[np.dtype[Any], ...] = ()  # of x, y and z
+    stride: int = 0  # bytes per point
     text: bool = False

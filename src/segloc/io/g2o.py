@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..types import Float64, Int64
+from .trajectory import pose_rows
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,15 @@ def format_g2o(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int] 
 
 
 def _lines(poses: Float64, edges: Sequence[PoseEdges], fixed: Sequence[int]) -> Iterator[str]:
-    for k, row in enumerate(_rows(poses)):
+    for k, row in enumerate(pose_rows(poses)):
         yield f"VERTEX_SE3:QUAT {k} {_text(row)}\n"
     for k in fixed:
         yield f"FIX {k}\n"
     for part in edges:
-        for k, row in enumerate(_rows(part.T)):
+        for k, row in enumerate(pose_rows(part.T)):
             information = g2o_information(part.covariance[k])[_UPPER]
             ends = f"{int(part.first[k])} {int(part.second[k])}"
             yield f"EDGE_SE3:QUAT {ends} {_text(row)} {_text(information)}\n"
-
-
-def _rows(poses: Float64) -> Float64:
-    """Return rows x y z qx qy qz qw, with qw >= 0."""
-    if not len(poses):
-        return np.empty((0, 7))
-    quaternions = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
-    quaternions *= np.where(quaternions[:, 3:] < 0, -1.0, 1.0)
-    return np.concatenate([poses[:, :3, 3], quaternions], axis=1)
 
 
 def _text(values: Float64) -> str:

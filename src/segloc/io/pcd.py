@@ -66,10 +66,14 @@ class _Header:
         return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
 
     @property
-    def offsets(self) -> list[tuple[int, int]]:
-        """Position and offset in a point of each wanted field."""
+    def columns(self) -> list[int]:
+        """First column of each wanted field in an ASCII file."""
+        return [sum(field.count for field in self.fields[:k]) for k in self.wanted]
+
+    def places(self, wanted: list[int]) -> list[tuple[np.dtype[Any], int]]:
+        """Return type and offset of fields in a binary point."""
         sizes = [field.num_bytes for field in self.fields]
-        return [(k, sum(sizes[:k])) for k in self.wanted]
+        return [(self.fields[k].dtype, sum(sizes[:k])) for k in wanted]
 
     @property
     def integer_times(self) -> bool:
@@ -93,13 +97,10 @@ def point_layout(head: bytes) -> PointLayout | None:
     """Return the layout of coordinates by a file's first bytes; None if compressed."""
     header = _parse_header(head)
     if header.encoding == "ascii":
-        firsts = np.cumsum([0] + [field.count for field in header.fields])
-        columns = tuple(int(firsts[k]) for k in header.wanted[:3])
-        return PointLayout(header.points, header.start, columns, text=True)
+        return PointLayout(header.points, header.start, tuple(header.columns[:3]), text=True)
     if header.encoding != "binary":
         return None
-    columns = tuple(at for _, at in header.offsets[:3])
-    dtypes = tuple(header.fields[k].dtype for k in header.wanted[:3])
+    dtypes, columns = zip(*header.places(header.wanted[:3]), strict=True)
     return PointLayout(header.points, header.start, columns, dtypes, header.stride)
 
 
@@ -147,11 +148,10 @@ def _parse_num_points(entries: dict[str, list[str]]) -> int:
 
 
 def _parse_ascii(data: bytes, header: _Header) -> Scan:
-    firsts = np.cumsum([0] + [field.count for field in header.fields], dtype=object)
     table = parse_table(
         data[header.start :],
-        columns=[int(firsts[position]) for position in header.wanted],
-        width=int(firsts[-1]),
+        columns=header.columns,
+        width=sum(field.count for field in header.fields),
         rows=header.points,
     )
     return scan_from_columns(list(table.T), nanoseconds=header.integer_times)
@@ -162,8 +162,8 @@ def _parse_binary(data: bytes, header: _Header) -> Scan:
     require_bytes(len(data) - header.start, needed, f"{header.points} points")
     return scan_from_columns(
         [
-            column(data, header.fields[k].dtype, header.points, header.start + at, header.stride)
-            for k, at in header.offsets
+            column(data, dtype, header.points, header.start + at, header.stride)
+            for dtype, at in header.places(header.wanted)
         ]
     )
 
@@ -174,8 +174,7 @@ def _parse_compressed(data: bytes, header: _Header) -> Scan:
     return scan_from_columns(
         [
             column(content, dtype, header.points, header.points * at, dtype.itemsize)
-            for k, at in header.offsets
-            for dtype in (header.fields[k].dtype,)
+            for dtype, at in header.places(header.wanted)
         ]
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,11 @@ class _Element:
         """Bytes per row without lists."""
         return sum(np.dtype(prop.type).itemsize for prop in self.properties)
 
+    def places(self, wanted: list[int], order: str) -> list[tuple[np.dtype[Any], int]]:
+        """Return type and offset of properties in a row without lists."""
+        dtypes = [np.dtype(order + prop.type) for prop in self.properties]
+        return [(dtypes[k], sum(dtype.itemsize for dtype in dtypes[:k])) for k in wanted]
+
 
 def parse_ply(data: bytes) -> Scan:
     """Parse the vertices; other elements may hold anything, including lists."""
@@ -81,10 +87,8 @@ def point_layout(head: bytes) -> PointLayout | None:
     wanted = wanted_columns(_single(vertex))[:3]
     if not order:
         return PointLayout(vertex.count, start, tuple(wanted), text=True)
-    dtypes = [np.dtype(order + prop.type) for prop in vertex.properties]
-    places = tuple(sum(dtype.itemsize for dtype in dtypes[:k]) for k in wanted)
-    kinds = tuple(dtypes[k] for k in wanted)
-    return PointLayout(vertex.count, start, places, kinds, vertex.stride)
+    dtypes, columns = zip(*vertex.places(wanted, order), strict=True)
+    return PointLayout(vertex.count, start, columns, dtypes, vertex.stride)
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -151,12 +155,12 @@ def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan
     if vertex.has_lists:
         return _parse_with_lists(data, start, vertex, order, wanted)
     require_bytes(len(data) - start, vertex.count * vertex.stride, f"{vertex.count} vertices")
-    columns = []
-    for position in wanted:
-        dtype = np.dtype(order + vertex.properties[position].type)
-        offset = sum(np.dtype(prop.type).itemsize for prop in vertex.properties[:position])
-        columns.append(column(data, dtype, vertex.count, start + offset, vertex.stride))
-    return scan_from_columns(columns)
+    return scan_from_columns(
+        [
+            column(data, dtype, vertex.count, start + at, vertex.stride)
+            for dtype, at in vertex.places(wanted, order)
+        ]
+    )
 
 
 def _parse_with_lists(

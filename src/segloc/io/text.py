@@ -93,13 +93,9 @@ def _blocks(data: Mapped, comments: tuple[str, ...] = (), start: int = 0) -> Ite
         yield [
             line
             for line in lines
-            if line and not line.isspace() and not (comments and _is_comment(line, comments))
+            if line and not line.isspace() and not (comments and line.lstrip().startswith(comments))
         ]
         start = end
-
-
-def _is_comment(line: str, marks: tuple[str, ...]) -> bool:
-    return line.lstrip().startswith(marks)
 
 
 def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:

@@ -145,18 +145,15 @@ class Trajectory:
 
 def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
     """Return the position of the first invalid pose, and its fault."""
-    R = poses[:, :3, :3]
-    finite = np.isfinite(poses).all(axis=(1, 2))
     with np.errstate(all="ignore"):
         rising = np.diff(stamps, prepend=-np.inf) > 0
-    rigid = are_rotations(R) & (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    rigid = are_rotations(poses[:, :3, :3]) & (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
     faults = {
         "a stamp that is not finite": ~np.isfinite(stamps),
-        "a value that is not finite": ~finite,
+        "a value that is not finite": ~np.isfinite(poses).all(axis=(1, 2)),
         "not a rigid transform": ~rigid,
         "stamps that do not rise": ~rising,
-        f"a position beyond {MAX_METRES:.0e} m": too_far(poses),
-        f"a position more than {LONGEST_STEP_M / 1000:.0f} km from the one before": torn(poses),
+        **implausible(poses),
     }
     bad = np.logical_or.reduce(list(faults.values()))
     if not bad.any():
@@ -165,17 +162,33 @@ def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
     return first, next(what for what, where in faults.items() if where[first])
 
 
-def too_far(poses: Float64) -> NDArray[np.bool_]:
-    """Return which poses (N, 4, 4) lie beyond ``MAX_METRES``."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(poses[:, :3, 3]) > MAX_METRES).any(axis=1))
-
-
-def torn(poses: Float64) -> NDArray[np.bool_]:
-    """Return which poses (N, 4, 4) lie more than ``LONGEST_STEP_M`` from the one before."""
+def implausible(poses: Float64) -> dict[str, NDArray[np.bool_]]:
+    """Return faults of positions, and which poses (N, 4, 4) have them."""
+    xyz = poses[:, :3, 3]
     with np.errstate(all="ignore"):
-        steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-        return np.concatenate([np.zeros(min(1, len(poses)), bool), steps > LONGEST_STEP_M])
+        far = (np.abs(xyz) > MAX_METRES).any(axis=1)
+        torn = np.linalg.norm(np.diff(xyz, axis=0, prepend=xyz[:1]), axis=1) > LONGEST_STEP_M
+    return {
+        f"a position beyond {MAX_METRES:.0e} m": far,
+        f"a position more than {LONGEST_STEP_M / 1000:.0f} km from the one before": torn,
+    }
+
+
+def rigid_poses(xyz: Float64, rotations: Rotation) -> Float64:
+    """Return poses (N, 4, 4) from positions (N, 3) and N rotations."""
+    poses = np.tile(np.eye(4), (len(xyz), 1, 1))
+    poses[:, :3, :3] = rotations.as_matrix()
+    poses[:, :3, 3] = xyz
+    return poses
+
+
+def pose_rows(poses: Float64) -> Float64:
+    """Return rows x y z qx qy qz qw (N, 7) of poses (N, 4, 4), with qw >= 0."""
+    if not len(poses):  # older SciPy rejects empty input
+        return np.empty((0, 7))
+    quaternions = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
+    quaternions *= np.where(quaternions[:, 3:] < 0, -1.0, 1.0)  # q and -q are the same rotation
+    return np.concatenate([poses[:, :3, 3], quaternions], axis=1)
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -274,11 +287,9 @@ def _from_tum(numbers: Float64, lines: list[int]) -> tuple[Float64, Float64]:
     if not unit.all():
         first = int(unit.argmin())
         raise DatasetError(f"line {lines[first]}: a quaternion of length {norms[first]:g}, not 1")
-    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    if len(numbers):
-        poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
-    poses[:, :3, 3] = numbers[:, 1:4]
-    return numbers[:, 0], poses
+    if not len(numbers):  # older SciPy rejects empty input
+        return numbers[:, 0], np.empty((0, 4, 4))
+    return numbers[:, 0], rigid_poses(numbers[:, 1:4], Rotation.from_quat(numbers[:, 4:]))
 
 
 def _from_kitti(numbers: Float64) -> tuple[Float64, Float64]:
@@ -302,12 +313,7 @@ def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> Non
     path = Path(path)
     if (np.diff(np.round(trajectory.stamps, 9)) <= 0).any():
         raise DatasetError(f"{path}: two stamps are equal to 9 decimals")
-    rows = np.empty((len(trajectory), 8))
-    rows[:, 0] = trajectory.stamps
-    rows[:, 1:4] = trajectory.poses[:, :3, 3]
-    if len(trajectory):
-        rows[:, 4:] = Rotation.from_matrix(np.array(trajectory.poses[:, :3, :3])).as_quat()
-    rows[:, 4:] *= np.where(rows[:, 7:] < 0, -1.0, 1.0)  # q and -q are the same rotation
+    rows = np.column_stack([trajectory.stamps, pose_rows(trajectory.poses)])
     header = "# stamp tx ty tz qx qy qz qw\n" + (f"# {remark}\n" if remark else "")
     write_text(path, _format_rows(rows, "%.9f", header))
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import DatasetError
+from ...io.trajectory import rigid_poses
 from ...types import Scan
 from ..layout import float_rows, holds_scans, in_seconds, scan_files
 from ..recorded import FileSource, Found
@@ -58,8 +59,6 @@ def _track(path: Path, name: str) -> Track:
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
         raise DatasetError(f"{path}: no poses")
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
     # Rotation by -yaw about z, then -pitch about y, then -roll about x.
-    poses[:, :3, :3] = Rotation.from_euler("zyx", -rows[:, :3:-1]).as_matrix()
-    poses[:, :3, 3] = rows[:, 1:4]
+    poses = rigid_poses(rows[:, 1:4], Rotation.from_euler("zyx", -rows[:, :3:-1]))
     return clean_track(name, rows[:, 0] * 1e-6, poses)
