@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from samples.datasets import START, Drive, kitti
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets import open_sequence
 from segloc.datasets.layout import parse_float4
 from segloc.datasets.loaders import boreas, helipr, nclt, robotcar
 from segloc.datasets.ros.bags import _parse_cdr, _parse_ros1
@@ -228,9 +228,6 @@ def test_opening_reads_no_scan(tmp_path: Path) -> None:
     (path / "velodyne" / "000003.bin").unlink()
     with pytest.raises(DatasetError, match=r"000003\.bin: no such file"):
         sequence.scan(3)
-    for position in (-1, 5):
-        with pytest.raises(DatasetError, match=f"00: no scan at position {position} of 5"):
-            sequence.scan(position)
 
 
 def test_folders_of_the_same_names_are_not_mistaken(tmp_path: Path) -> None:
@@ -239,7 +236,6 @@ def test_folders_of_the_same_names_are_not_mistaken(tmp_path: Path) -> None:
         folder.mkdir()
         write_scan(folder / "000100.bin", np.ones((5, 3)))
         sequence = open_sequence(folder)
-        assert isinstance(sequence, RecordedSequence)
         assert sequence.format == "folder of scans"
         assert sequence.indices.tolist() == [100]
 
@@ -253,7 +249,6 @@ def test_a_scan_that_is_missing_shifts_no_pose(tmp_path: Path) -> None:
     world: list[Float64] = []
     for i in range(5):
         scan = sequence.scan(i)
-        assert scan.T_odom_sensor is not None
         world.append(geometry.transform(scan.T_odom_sensor, scan.points))
     np.testing.assert_allclose(world[2], world[0], atol=1e-4)
 

@@ -10,9 +10,9 @@ import pytest
 from samples.datasets import START, Drive, float_rows, kitti, ones
 from samples.plaza import Plaza
 from samples.real import real
+from samples.walk import run
 
 from segloc import Config, SegmentMap, geometry
-from segloc.cli import main
 from segloc.datasets import open_sequence
 from segloc.datasets.inspection import inspect
 from segloc.io import Trajectory, write_scan, write_tum
@@ -75,7 +75,7 @@ each_format = pytest.mark.parametrize("name", WRITERS)
 
 
 def problems(path: Path, sample: int = 20) -> str:
-    found = inspect(open_sequence(path, "none"), sample)  # type: ignore[arg-type]
+    found = inspect(open_sequence(path, "none"), sample)
     return "\n".join([*found.problems, *found.sensor_changes])
 
 
@@ -91,7 +91,7 @@ def test_poses_that_come_seldom_are_no_gaps(lost_s: float, gaps: int, tmp_path: 
         writer.cloud("/points", stamp, seen(VLP16))
         writer.odometry("/odom", stamp, pose, "lidar")
     recording = open_sequence(writer.write(tmp_path / "drive"))
-    output = "\n".join(inspect(recording, 4).problems)  # type: ignore[arg-type]
+    output = "\n".join(inspect(recording, 4).problems)
     assert output.count("gaps in the poses, the longest 10.5 s") == gaps
     assert output.count("gaps in the poses") == gaps
 
@@ -154,13 +154,11 @@ def test_bursts_of_nan_are_counted_and_left_out(name: str, tmp_path: Path, plaza
 
 
 def test_info_shows_pose_files_and_scans_without_points(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = folder(tmp_path, [np.zeros((0, 3))] * 3, DRIVE.poses[:3])
     (tmp_path / "scans.odometry.tum").write_text("")
-    monkeypatch.setattr("sys.argv", ["segloc", "info", str(path)])
-    with pytest.raises(SystemExit):
-        main()
+    run("info", path)
     output = capsys.readouterr().out
     assert "problem: no points in any of the 3 scans" in output
     for name in ("poses.tum", "scans.odometry.tum"):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from samples.datasets import matrix
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import run
 
-from segloc import cli, geometry
+from segloc import geometry
 from segloc.datasets import open_sequence, parse_select, poses_at
 from segloc.io import Trajectory, write_scan, write_tum
 from segloc.types import Float64
@@ -45,9 +46,7 @@ def test_poses_of_the_base_become_the_sensors(plaza: Plaza, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_sensor_that_looks_down_maps_and_localizes(
-    plaza: Plaza, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sensor_that_looks_down_maps_and_localizes(plaza: Plaza, tmp_path: Path) -> None:
     """By one configuration: poses of the base for the map, no poses for the query."""
     poses = walk(plaza, tmp_path / "walk")
     config = tmp_path / "robot.yaml"
@@ -59,17 +58,10 @@ def test_a_sensor_that_looks_down_maps_and_localizes(
     T = poses[7] @ matrix((0.2, 0.3, 0.1), (0.0, 0.05, 0.1))
     write_scan(again / "0.npy", plaza.scan(T, seed=77).points)
 
-    def run(*arguments: object) -> None:
-        monkeypatch.setattr("sys.argv", ["segloc", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        assert not end.value.code
-
     prior, out = tmp_path / "walk.segmap", tmp_path / "found"
-    run(
-        "map", "build", tmp_path / "walk", "--poses", "base.tum", "--config", config, "--out", prior
-    )
-    run("localize", again, "--map", prior, "--config", config, "--out", out)
+    options = ["--poses", "base.tum", "--config", config]
+    assert run("map", "build", tmp_path / "walk", *options, "--out", prior) == 0
+    assert run("localize", again, "--map", prior, "--config", config, "--out", out) == 0
     found = json.loads((out / "localizations.jsonl").read_text())
     assert found["localized"] and found["attitude"] == "estimated"
     delta = geometry.inverse(T) @ np.array(found["T_map_sensor"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from samples.datasets import START, Drive
 
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets import open_sequence
 from segloc.datasets.clocks import time_unit
 from segloc.errors import DatasetError
 from segloc.io import write_scan
@@ -24,12 +24,6 @@ def folder(path: Path, stems: list[str]) -> Path:
     for k, stem in enumerate(stems):
         write_scan(path / f"{stem}.npy", np.tile([float(k), 0.0, 0.0], (k + 1, 1)))
     return path
-
-
-def opened(path: Path, poses: Path | None = None) -> RecordedSequence:
-    sequence = open_sequence(path, poses)
-    assert isinstance(sequence, RecordedSequence)
-    return sequence
 
 
 NAMES = {
@@ -56,8 +50,7 @@ def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_pa
     poses.write_text(
         "".join(LINE.format(text, x) for text, (_, x) in zip(texts, rows, strict=True))
     )
-    sequence = opened(scans, poses)
-    assert sequence.stamps is not None and sequence.poses is not None
+    sequence = open_sequence(scans, poses)
     np.testing.assert_allclose(sequence.stamps, begin + STEPS, atol=1e-6)
     np.testing.assert_allclose(sequence.poses[:, 0, 3], 10 * STEPS, atol=1e-4)
     assert [len(sequence.scan(k)) for k in range(COUNT)] == list(range(1, COUNT + 1))
@@ -76,7 +69,7 @@ def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_pa
 def test_numbers_that_are_no_times_stay_numbers(
     stems: list[str], indices: list[int], tmp_path: Path
 ) -> None:
-    sequence = opened(folder(tmp_path / "run", stems))
+    sequence = open_sequence(folder(tmp_path / "run", stems))
     assert sequence.indices.tolist() == indices
     assert sequence.stamps is None
 
@@ -88,14 +81,13 @@ def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) 
     poses = tmp_path / "odometry.tum"
     stamps = [float(scale * (1_700_000_000 + t)) for t in STEPS]
     poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(stamps)))
-    sequence = opened(scans, poses)
-    assert sequence.stamps is not None and sequence.poses is not None
+    sequence = open_sequence(scans, poses)
     np.testing.assert_allclose(np.diff(sequence.stamps), 0.2, atol=1e-3)
     assert sequence.poses[:, 0, 3].tolist() == list(range(COUNT))
     for times in (stamps[1:], [0.05 * k for k in range(4 * COUNT)]):  # 0, 1 s are no scans 0, 1
         poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(times)))
         with pytest.raises(DatasetError, match=r"poses are stamped, .* scans have no stamps"):
-            opened(scans, poses)
+            open_sequence(scans, poses)
 
 
 def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
@@ -104,7 +96,7 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     for k in range(3):
         (scans / f"{k}.csv").write_text("1,2,3\n")
     (scans / "imu.csv").write_text("time,ax,ay,az\n0,0,0,9.8\n")
-    sequence = opened(scans)
+    sequence = open_sequence(scans)
     assert sequence.indices.tolist() == [0, 1, 2]
     assert sequence.notes == ("imu.csv left out: no number in its name",)
     over = tmp_path / "over"
@@ -114,7 +106,7 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     with pytest.raises(
         DatasetError, match=r"among its 1 files \(1 \.csv\); scans found in subfolders: scans"
     ):
-        opened(over)
+        open_sequence(over)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +116,7 @@ def test_what_cannot_be_read_is_named_with_what_can(name: str, hint: str, tmp_pa
     (tmp_path / name).write_bytes(b"x")
     for path in (tmp_path, tmp_path / name):
         with pytest.raises(DatasetError, match=hint) as caught:
-            opened(path)
+            open_sequence(path)
         assert ".mcap" in str(caught.value) and ".pcd" in str(caught.value)
 
 
@@ -185,13 +177,12 @@ def test_bags_are_deskewed_whatever_the_unit(
         times = stamp + spread if scale < 0 else scale * spread
         writer.cloud("/points", stamp, drive.seen(i), times=(*field, times))
         writer.odometry("/odom", stamp, drive.poses[i], "lidar")
-    sequence = opened(writer.write(tmp_path / "drive"))
+    sequence = open_sequence(writer.write(tmp_path / "drive"))
     assert [expected in note for note in sequence.notes] == [True] * bool(expected)
     times = sequence.raw(1).times
     if expected == "float32":
         assert times is None
     else:
-        assert times is not None
         np.testing.assert_allclose(times, np.linspace(0, 0.1, len(times)), atol=1e-5)
         assert not np.allclose(sequence.scan(1).points, sequence.raw(1).points, atol=1e-3)
 
@@ -222,7 +213,7 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
         if topic == "/tf" and seen[topic] < 3:
             message.transforms[0].transform.rotation.__dict__.update(w=float("nan"))
     path = writer.write(tmp_path / "drive")
-    sequence = opened(path)
+    sequence = open_sequence(path)
     assert sequence.poses is not None and len(sequence) == COUNT
     assert np.isfinite(sequence.poses).all()
     text = "\n".join(sequence.notes)
@@ -247,6 +238,6 @@ def test_a_bag_is_read_without_poses_that_are_of_no_use(tmp_path: Path) -> None:
         writer.cloud("/points", stamp, drive.seen(i))
         writer.odometry("/torn", stamp, torn[i], "lidar")
         writer.odometry("/yesterday", stamp - 86400.0, drive.poses[i], "lidar")
-    sequence = opened(writer.write(tmp_path / "drive"))
+    sequence = open_sequence(writer.write(tmp_path / "drive"))
     assert (len(sequence), sequence.poses) == (COUNT, None)
     assert [note.partition(":")[0] for note in sequence.notes] == ["/torn", "/yesterday"]

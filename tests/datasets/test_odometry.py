@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ pytest.importorskip("kiss_icp")
 from samples.bags import KINDS, BagWriter
 from samples.datasets import START, Drive, kitti
 from samples.real import real
+from samples.walk import run
 from segloc_lab.simulation import (
     Route,
     SimulatedSequence,
@@ -27,9 +27,9 @@ from segloc_lab.simulation import (
 )
 from segloc_lab.simulation.drives import mapped_way
 
-from segloc import cli, geometry
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc import geometry
 from segloc.datasets import odometry as odometry_module
+from segloc.datasets import open_sequence
 from segloc.datasets.inspection import inspect
 from segloc.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
 from segloc.errors import DatasetError
@@ -44,50 +44,27 @@ class Simulated:
     folder: Path
     drive: SimulatedSequence
 
-    @property
-    def truth(self) -> Float64:
-        return self.drive.truth
-
-    @property
-    def stamps(self) -> Float64:
-        assert self.drive.stamps is not None
-        return self.drive.stamps
-
     def bag(self, kind: str, root: Path, *, posed: bool = True) -> Path:
         """Its scans in a bag, at the same times since START."""
         bag = BagWriter(kind)
         recording = open_sequence(self.folder, self.folder / "poses.tum", deskew=False)
-        for i, stamp in enumerate(START + self.stamps):
+        for i, stamp in enumerate(START + self.drive.stamps):
             scan = recording.scan(i)
-            assert scan.times is not None
             bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
             if posed:
-                bag.odometry("/odom", stamp, self.truth[i], "lidar")
+                bag.odometry("/odom", stamp, self.drive.truth[i], "lidar")
         return bag.write(root / kind)
-
-
-def driven(session: int, lane: float) -> SimulatedSequence:
-    world = town(3, size_m=150)
-    way = mapped_way(world, np.random.default_rng(0), 60.0)
-    route = Route(tuple(way), lane, length_m=32.0)
-    sensor = hdl32e().thinned(4)
-    return simulate_session(
-        world, session, route, sensor, 7, platform=car(), by_rate=True, skew=True
-    )
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
-    drive = driven(0, lane=1.1)
+    world = town(3, size_m=150)
+    way = mapped_way(world, np.random.default_rng(0), 60.0)
+    route = Route(tuple(way), 1.1, length_m=32.0)
+    sensor = hdl32e().thinned(4)
+    drive = simulate_session(world, 0, route, sensor, 7, platform=car(), by_rate=True, skew=True)
     folder = record(drive, tmp_path_factory.mktemp("run") / "drive", workers=1)
     return Simulated(folder, drive)
-
-
-def segloc(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
-    monkeypatch.setattr(sys, "argv", ["segloc", *map(str, arguments)])
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    return int(left.value.code or 0)
 
 
 @pytest.mark.slow
@@ -97,7 +74,7 @@ def test_a_bag_gives_the_same_clouds_as_its_folder(
 ) -> None:
     folder = open_sequence(simulated.folder, "poses.tum")
     bag = open_sequence(simulated.bag(kind, tmp_path))
-    assert len(bag) == len(folder) == len(simulated.stamps)
+    assert len(bag) == len(folder) == len(simulated.drive)
     np.testing.assert_allclose(bag.poses, folder.poses, atol=1e-4)
     for i in (0, 17, len(bag) - 2):
         ours, theirs = bag.scan(i), folder.scan(i)
@@ -109,7 +86,6 @@ def test_a_bag_gives_the_same_clouds_as_its_folder(
 def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
     """Times of points are used; stamps of poses are where they hold, the scans' ends."""
     bag = open_sequence(simulated.bag("sqlite3", tmp_path, posed=False))
-    assert isinstance(bag, RecordedSequence)
     assert bag.poses is None
     calls: list[tuple[int, int]] = []
     trajectory = lidar_odometry(bag, progress=lambda done, total: calls.append((done, total)))
@@ -123,10 +99,9 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
     write_tum(file, trajectory)
     assert kept_odometry(file, bag)
     posed = open_sequence(tmp_path / "sqlite3", file)
-    assert posed.poses is not None
     assert posed.indices[0] == 1  # the first scan began before the first pose
     settled = 8  # scans until it knows the speed
-    truth = simulated.truth[settled:]
+    truth = simulated.drive.truth[settled:]
     ours = geometry.inverse(posed.poses[settled - 1]) @ posed.poses[settled - 1 :]
     error = np.linalg.norm((ours - geometry.inverse(truth[0]) @ truth)[:, :3, 3], axis=1)
     assert geometry.travelled(truth)[-1] > 20
@@ -135,32 +110,27 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_verbs_take_a_bag_without_poses(
-    simulated: Simulated,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = simulated.bag("ros1", tmp_path, posed=False)
     prior_map = tmp_path / "site.segmap"
-    assert segloc(monkeypatch, "map", "build", path, "--out", prior_map) == 1
+    assert run("map", "build", path, "--out", prior_map) == 1
     output = capsys.readouterr().err
     assert "a map needs a pose for every scan: pass --poses FILE, or use --odom" in output
     options = ["--method", "geo", "--every", "10", "--threads", "1"]
-    assert (
-        segloc(monkeypatch, "map", "build", path, "--odometry", "--out", prior_map, *options) == 0
-    )
+    assert run("map", "build", path, "--odometry", "--out", prior_map, *options) == 0
     kept = tmp_path / "ros1.bag.odometry.tum"
     assert f"odometry written to {kept}" in capsys.readouterr().err.replace("\n", "")
     before = kept.read_bytes()
     out = tmp_path / "results"
     verb = ["localize", path, "--map", prior_map, "--out", out, "--odometry", "--every", "15"]
-    assert segloc(monkeypatch, *verb) == 0
+    assert run(*verb) == 0
     assert "odometry from" in capsys.readouterr().err
     assert kept.read_bytes() == before
     assert len(read_trajectory(out / "poses.tum")) >= 1
-    assert segloc(monkeypatch, "odometry", path, "--out", tmp_path / "other.tum") == 0
+    assert run("odometry", path, "--out", tmp_path / "other.tum") == 0
     assert (tmp_path / "other.tum").read_bytes() == before
-    assert segloc(monkeypatch, "info", path, "--poses", kept) == 0
+    assert run("info", path, "--poses", kept) == 0
     shown = capsys.readouterr().out
     for fact in ("ROS 1 bag", "3D, 32 beams", "10.0 Hz", "x y z intensity time", "lidar"):
         assert fact in shown
@@ -239,7 +209,6 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     poses[30:, 3] += 50.0
     np.savetxt(truth, poses)
     sequence = open_sequence(path)
-    assert isinstance(sequence, RecordedSequence)
     found = inspect(sequence, sample=60)
     assert found.sampled == 59
     assert found.rate_hz == pytest.approx(10.0)
@@ -257,11 +226,11 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_odometry_of_a_real_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_odometry_of_a_real_car(tmp_path: Path) -> None:
     """It moves on, never backwards, and neither speed nor heading jump."""
     pytest.importorskip("laspy")
     drive, file = real("hdl64_drive"), tmp_path / "poses.tum"
-    assert segloc(monkeypatch, "odometry", drive, "--out", file) == 0
+    assert run("odometry", drive, "--out", file) == 0
     trajectory = read_trajectory(file)
     assert len(trajectory) == len(list(drive.glob("*.laz")))
     steps = np.linalg.inv(trajectory.poses[:-1]) @ trajectory.poses[1:]

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from samples.real import real
 from scipy.spatial.transform import Rotation
 
 from segloc.errors import DatasetError, SeglocError
@@ -170,18 +169,6 @@ def test_a_trajectory_is_checked_and_keeps_its_own_data() -> None:
         Trajectory(np.zeros(3), trajectory.poses)
     with pytest.raises(DatasetError, match="pose 0: not a rigid transform"):
         Trajectory(stamps, poses)
-
-
-def test_recorded_trajectories() -> None:
-    for name in ("keyframes", "scans"):
-        path = real("kitti00", f"{name}.tum")
-        trajectory = read_trajectory(path)
-        table = np.loadtxt(path)
-        assert len(trajectory) == len(table) > 100
-        np.testing.assert_array_equal(trajectory.stamps, table[:, 0])
-        np.testing.assert_array_equal(trajectory.poses[:, :3, 3], table[:, 1:4])
-        again = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
-        np.testing.assert_allclose(np.abs((again * table[:, 4:]).sum(axis=1)), 1, atol=1e-8)
 
 
 ROW = (1.5, 10.0, 20.0, 30.0, 0.1, 0.2, 0.3, 0.927361849549570)  # stamp, position, qx qy qz qw

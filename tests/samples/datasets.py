@@ -45,6 +45,12 @@ class Drive:
         """The landmarks in the sensor's frame."""
         return geometry.transform(geometry.inverse(self.pose(self.stamps[i])), self.landmarks)
 
+    def swept(self, times: Float64) -> Float64:
+        """The landmarks, each seen from where the sensor was at its own time."""
+        poses = [geometry.inverse(self.pose(time)) for time in times]
+        pairs = zip(poses, self.landmarks, strict=True)
+        return np.array([geometry.transform(T, point[None])[0] for T, point in pairs])
+
 
 def matrix(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Float64:
     """Rz(yaw) Ry(pitch) Rx(roll), written out."""

@@ -12,7 +12,8 @@ from . import options
 from .console import busy
 
 if TYPE_CHECKING:
-    from ..doctor import Examinable, Examination
+    from ..datasets import RecordedSequence
+    from ..doctor import Examination
 
 
 def doctor(
@@ -46,18 +47,15 @@ def examined(
     topic: str | None,
     sample: int,
     config: Path | None,
-) -> tuple[Examinable, Examination]:
+) -> tuple[RecordedSequence, Examination]:
     """Open and examine a recording."""
-    from typing import cast
-
     from ..datasets import open_sequence
-    from ..doctor import Examinable, examine
+    from ..doctor import examine
     from .recording import place_of_sensor
 
     local_cloud = options.load_config(config, None, 1).local_cloud
     T = place_of_sensor(local_cloud.mount)
-    opened = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
-    recording = cast(Examinable, opened)
+    recording = open_sequence(sequence, poses, select, topic=topic, T_base_sensor=T)
     with busy("Examining the scans"):
         return recording, examine(recording, local_cloud, sample)
 
@@ -68,7 +66,7 @@ def show_findings(found: Examination) -> None:
         print(f"{'problem' if finding.wrong else 'note'}: {finding}")
 
 
-def show_pose_files(sequence: Path, recording: Examinable) -> None:
+def show_pose_files(sequence: Path, recording: RecordedSequence) -> None:
     """If a recording has no poses, list files that may hold them."""
     if recording.poses is None:
         for name in pose_files(sequence.resolve()):

@@ -9,7 +9,8 @@ from . import options
 from .console import number, table
 
 if TYPE_CHECKING:
-    from ..doctor import Examinable, Examination
+    from ..datasets import RecordedSequence
+    from ..doctor import Examination
 
 
 def info(
@@ -29,7 +30,7 @@ def info(
         show_pose_files(sequence, recording)
 
 
-def show(recording: Examinable, examination: Examination) -> None:
+def show(recording: RecordedSequence, examination: Examination) -> None:
     """Print a recording's facts as a table, followed by its problems."""
     from ..datasets.inspection import UNUSABLE
     from .doctor import show_findings

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
-from ..datasets import NO_POSES, RecordedSequence, Sequence, open_sequence, poses_at
+from ..datasets import NO_POSES, Sequence, open_sequence, poses_at
 from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
 from ..errors import ConfigError, DatasetError
 from ..frontend.local_cloud import LocalCloudConfig
@@ -88,7 +87,7 @@ def place_of_sensor(mount: MountConfig | None) -> Pose | None:
 def _odometry_of(path: Path, topic: str | None) -> Path:
     """Return the file with the recording's odometry, computed if missing."""
     file = odometry_path(path, topic)
-    recording = cast(RecordedSequence, open_sequence(path, NO_POSES, topic=topic))
+    recording = open_sequence(path, NO_POSES, topic=topic)
     if kept_odometry(file, recording):
         note(f"odometry from {file}")
         return file

@@ -10,10 +10,10 @@ from ..errors import DatasetError
 from ..types import Float64, Pose
 from ..types import Recording as Recording
 from .loaders import folder
+from .recorded import Found, assembled
 from .recorded import RecordedSequence as RecordedSequence
 from .recorded import Selection as Selection
 from .recorded import Sequence as Sequence
-from .recorded import assembled
 from .recorded import parse_select as parse_select
 from .swathes import Swathes as Swathes
 from .swathes import swathes as swathes
@@ -30,7 +30,7 @@ def open_sequence(
     topic: str | None = None,
     deskew: bool = True,
     T_base_sensor: Pose | None = None,
-) -> Sequence:
+) -> RecordedSequence:
     """Open a recording of any known format.
 
     Scans are read on access, except up to three to recognise the unit of point times. Scans
@@ -65,7 +65,11 @@ def open_sequence(
     """
     where = Path(path)
     try:
-        return _opened(where, poses, select, topic, deskew, T_base_sensor)
+        selection = parse_select(select) if isinstance(select, str) else select
+        own_poses = str(poses) != NO_POSES
+        file = _find_poses(Path(poses), where) if poses is not None and own_poses else None
+        found = _found(where, file, topic)
+        return assembled(found, file, selection, own_poses, deskew, T_base_sensor)
     except DatasetError as error:
         text = str(error)
         if any(str(file) in text for file in (where, poses) if file is not None):
@@ -78,35 +82,18 @@ def open_sequence(
         raise DatasetError(f"{error.filename or where}: cannot read: {reason}") from error
 
 
-def _opened(
-    where: Path,
-    poses: str | Path | None,
-    select: str | Selection | None,
-    topic: str | None,
-    deskew: bool,
-    T_base_sensor: Pose | None,
-) -> Sequence:
+def _found(where: Path, poses: Path | None, topic: str | None) -> Found:
     from .formats import identify
 
-    selection = parse_select(select) if isinstance(select, str) else select
-    without = poses is not None and str(poses) == NO_POSES
-    file = None if poses is None or without else _find_poses(Path(poses), where)
     known = identify(where)
     if known is None:
-        found = folder.find(where, file)
+        found = folder.find(where, poses)
     else:
         layout, root, sensor = known
         found = layout.find(root, topic or sensor)
     if topic is not None and found.topic is None:
         raise DatasetError(f"{where}: {found.format} has no topics, so no {topic!r}")
-    return assembled(
-        found,
-        file,
-        own_poses=not without,
-        deskewed=deskew,
-        T_base_sensor=T_base_sensor,
-        selection=selection,
-    )
+    return found
 
 
 def poses_at(

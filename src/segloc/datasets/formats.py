@@ -30,9 +30,14 @@ class Format(Protocol):
     INNER: tuple[str, ...]
 
     @staticmethod
-    def recognises(path: Path) -> bool: ...
+    def recognises(path: Path) -> bool:
+        """Return whether a path is a recording of this format."""
+        ...
+
     @staticmethod
-    def find(path: Path, topic: str | None) -> Found: ...
+    def find(path: Path, topic: str | None) -> Found:
+        """List the scans and read what describes them; no scan is read."""
+        ...
 
 
 _MODULES = (

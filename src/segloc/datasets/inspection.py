@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -12,9 +11,10 @@ from .. import geometry
 from ..errors import DatasetError
 from ..motion import times_fit
 from ..system.checks import MAX_METRES
-from ..types import Float64, Int64, Scan
+from ..types import Scan
+from .recorded import RecordedSequence
 from .signature import Signature, signature
-from .tracks import LONGEST_GAP_S, Track
+from .tracks import LONGEST_GAP_S
 
 UNUSABLE = f"not finite or beyond {MAX_METRES:.0e} m"
 _MAX_SPEED_M_S = 60.0
@@ -23,29 +23,6 @@ _MAX_DROPPED = 0.05  # share of unusable points above which a scan is reported
 _MIN_POINTS = 1000  # needed to recognise a sensor
 _MAX_CHANGES = 3  # sensor changes listed
 _OTHER_SENSOR = "another sensor from here on"
-
-
-class Inspectable(Protocol):
-    """Recording that :func:`inspect` accepts."""
-
-    format: str
-    frame: str
-    fields: str
-    notes: tuple[str, ...]
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def indices(self) -> Int64: ...
-    @property
-    def stamps(self) -> Float64 | None: ...
-    @property
-    def poses(self) -> Float64 | None: ...
-    @property
-    def track(self) -> Track | str | None: ...
-    def __len__(self) -> int: ...
-    def raw(self, i: int) -> Scan: ...
-    def where(self, i: int) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -66,7 +43,7 @@ class Inspection:
     sensor_changes: tuple[str, ...]  # one line each: scans at which the sensor changes
 
 
-def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
+def inspect(recording: RecordedSequence, sample: int = 20) -> Inspection:
     """Inspect stamps, poses, and ``sample`` scans spread over the recording.
 
     Unreadable scans are listed as problems, not raised.
@@ -84,7 +61,7 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
     dropped = sum(scan.dropped for _, scan in scans)
     missing = sum(scan.missing_returns for _, scan in scans)
     given = max(1, sum(sizes) + dropped + missing)
-    stamps, poses = recording.stamps, recording.poses
+    stamps, poses, track = recording.stamps, recording.poses, recording.track
     steps = np.diff(stamps) if stamps is not None else np.empty(0)
     return Inspection(
         sensor=_sensor(scans),
@@ -95,21 +72,14 @@ def inspect(recording: Inspectable, sample: int = 20) -> Inspection:
         rate_hz=float(1 / np.median(steps)) if len(steps) else None,
         duration_s=float(stamps[-1] - stamps[0]) if stamps is not None and len(stamps) else None,
         length_m=None if poses is None else float(geometry.travelled(poses)[-1]),
-        poses=_source(recording),
+        poses="none" if track is None else f"{track.source} ({len(track.keys)})",
         timed=any(scan.times is not None for _, scan in scans),
         problems=tuple(problems),
         sensor_changes=tuple(_sensor_changes(recording, scans)),
     )
 
 
-def _source(recording: Inspectable) -> str:
-    track = recording.track
-    if track is None:
-        return "none"
-    return track if isinstance(track, str) else f"{track.source} ({len(track.keys)})"
-
-
-def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
+def _scan_problems(recording: RecordedSequence, scans: list[tuple[int, Scan]]) -> list[str]:
     problems = []
     median = float(np.median([len(scan) for _, scan in scans])) if scans else 0.0
     if scans and not any(len(scan) for _, scan in scans):
@@ -119,7 +89,7 @@ def _scan_problems(recording: Inspectable, scans: list[tuple[int, Scan]]) -> lis
         if _broken(scan):
             whole = len(scan) + scan.dropped
             problems.append(f"{where}: {scan.dropped} of {whole} points are {UNUSABLE}")
-        elif not _within(len(scan), median):
+        elif not median / _SIZE_RATIO <= len(scan) <= median * _SIZE_RATIO:
             problems.append(f"{where}: {len(scan)} points, the median is {median:.0f}")
         if scan.times is not None and len(scan) and not times_fit(scan):
             problems.append(f"{where}: times are not seconds after the stamp: not de-skewed")
@@ -133,7 +103,7 @@ def _sensor(scans: list[tuple[int, Scan]]) -> str:
     return "unknown" if found is None else str(found)
 
 
-def _sensor_changes(recording: Inspectable, scans: list[tuple[int, Scan]]) -> list[str]:
+def _sensor_changes(recording: RecordedSequence, scans: list[tuple[int, Scan]]) -> list[str]:
     """List the scans at which the sensor changes, searched between those of the sample."""
     whole = [(i, scan) for i, scan in scans if not _broken(scan) and len(scan) >= _MIN_POINTS]
     signed = [(i, signature(scan.points)) for i, scan in whole]
@@ -149,7 +119,7 @@ def _sensor_changes(recording: Inspectable, scans: list[tuple[int, Scan]]) -> li
     return [*changes[:_MAX_CHANGES], *rest]
 
 
-def _first_unlike(recording: Inspectable, old: Signature, low: int, high: int) -> int:
+def _first_unlike(recording: RecordedSequence, old: Signature, low: int, high: int) -> int:
     """Return the position of the change, given ``low`` like ``old`` and ``high`` unlike it."""
     while high - low > 1:
         middle = (low + high) // 2
@@ -168,20 +138,14 @@ def _broken(scan: Scan) -> bool:
     return scan.dropped > _MAX_DROPPED * (len(scan) + scan.dropped)
 
 
-def _within(size: int, median: float) -> bool:
-    return median / _SIZE_RATIO <= size <= median * _SIZE_RATIO
-
-
-def _time_problems(recording: Inspectable) -> list[str]:
+def _time_problems(recording: RecordedSequence) -> list[str]:
     stamps = recording.stamps
-    if stamps is None:
+    if stamps is None or len(stamps) < 2:
         return []
     steps = np.diff(stamps)
-    if not len(steps):
-        return []
     problems = []
     if (steps <= 0).any():
-        problems.append(f"stamps do not rise after scan {_number(recording, steps <= 0)}")
+        problems.append(f"stamps do not rise after scan {recording.indices[(steps <= 0).argmax()]}")
     long = steps > 3 * np.median(steps)
     if recording.poses is not None:  # a robot at rest misses nothing
         lengths = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
@@ -194,16 +158,12 @@ def _time_problems(recording: Inspectable) -> list[str]:
     return problems
 
 
-def _number(recording: Inspectable, where: np.ndarray) -> int:
-    return int(recording.indices[int(where.argmax())])
-
-
-def _pose_problems(recording: Inspectable) -> list[str]:
+def _pose_problems(recording: RecordedSequence) -> list[str]:
     poses, stamps, track = recording.poses, recording.stamps, recording.track
     if poses is None:
         return []
     problems = []
-    if isinstance(track, Track) and len(track.gaps):
+    if track is not None and len(track.gaps):
         usual = float(np.median(np.diff(track.keys)))  # key frames may be seconds apart
         gaps = track.gaps[track.gaps > 3 * usual]
         if len(gaps):

@@ -45,14 +45,12 @@ def parse_float4(data: bytes) -> Scan:
     return returned(float_rows(data, 4))
 
 
-def column_times(count: int, rows: int = 64, columns: int = 1024) -> NDArray[np.float64] | None:
-    """Return seconds after the start of a 10 Hz turn, for clouds stored column by column.
+def column_times(count: int) -> Float64 | None:
+    """Return seconds after the start of an OS1-64's turn, for clouds stored column by column.
 
     Return None if the cloud is incomplete: columns are then unknown.
     """
-    if count != rows * columns:
-        return None
-    return np.repeat(np.arange(columns) / columns * 0.1, rows)
+    return np.repeat(np.arange(1024) / 1024 * 0.1, 64) if count == 64 * 1024 else None
 
 
 def scan_files(folder: Path, suffix: str = ".bin") -> list[Path]:

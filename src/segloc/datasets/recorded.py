@@ -75,36 +75,35 @@ def _parse_range(part: str, text: str) -> tuple[int, int | None]:
 def assembled(
     found: Found,
     poses: Path | None,
-    *,
-    own_poses: bool = True,
-    deskewed: bool = True,
-    T_base_sensor: Pose | None = None,
-    selection: Selection | None = None,
+    selection: Selection | None,
+    own_poses: bool,
+    deskew: bool,
+    T_base_sensor: Pose | None,
 ) -> RecordedSequence:
     """Build a sequence from the scans that a reader found, with the chosen poses.
 
     Scans outside the poses in time, or in a gap of them, are dropped and noted.
 
     poses: file of poses
+    selection: indices of the scans to keep
     own_poses: True to use the recording's own poses if no file is given
     T_base_sensor: (4, 4) mount of the sensor on the body of the poses; None if they are the
       sensor's
-    selection: indices of the scans to keep
 
     Raise DatasetError if there are no scans, none is selected, the poses cannot be read, or no scan
     has one.
     """
-    if not len(found.source):
+    if not len(found.indices):
         raise DatasetError(f"{found.name}: {found.format} without scans")
     track, at_scans, stamps, pose_notes = _posed(found, poses, own_poses, T_base_sensor)
     notes, motion = [*found.notes, *pose_notes], None
-    if track is not None and deskewed and track.clock == "seconds" and len(track.keys) > 1:
+    if track is not None and deskew and track.clock == "seconds" and len(track.keys) > 1:
         motion = Motion(track.keys, track.poses)
     unit = _time_unit(found, stamps)
     notes += [unit.note] if unit is not None and unit.note else []
     sequence = RecordedSequence(
         found.name, found.format, found.frame, found.fields, found.source,
-        np.arange(len(found.source)), found.indices, stamps, at_scans, track, motion,
+        np.arange(len(found.indices)), found.indices, stamps, at_scans, track, motion,
         tuple(notes), found.T_base_sensor if T_base_sensor is None else T_base_sensor,
         time_unit=unit,
     )  # fmt: skip
@@ -129,7 +128,9 @@ def _posed(
     """Return the sensor's track, its poses at the scans, the scans' stamps, and notes."""
     stamps = found.stamps
     if poses is not None:
-        track = _of_file(found, poses, T_base_sensor)
+        if (track := found.own_poses(poses)) is None:
+            track = read_track(poses, found.indices, stamps)
+            track = track if T_base_sensor is None else track.of_sensor(T_base_sensor)
         notes = [track.note] * bool(track.note)
         if stamps is None and track.clock == "seconds" and len(track.keys) == len(found.indices):
             stamps = track.keys
@@ -139,7 +140,9 @@ def _posed(
     if not own_poses:
         return None, None, stamps, []
     try:
-        own = _own(found, T_base_sensor)
+        own = found.own_track()
+        if own is None and found.base_track is not None and T_base_sensor is not None:
+            own = found.base_track.of_sensor(T_base_sensor)
         if own is None:
             return None, None, stamps, []
         return own, own.at(found.indices, stamps), stamps, [own.note] * bool(own.note)
@@ -151,7 +154,7 @@ def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
     """Recognise the unit of point times from some scans; None if the format defines it."""
     if found.times_sure or stamps is None:
         return None
-    count = len(found.source)
+    count = len(found.indices)
     samples = []
     for k in sorted({0, count // 2, count - 1}):
         try:
@@ -163,26 +166,8 @@ def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
     return time_unit(samples, period_of(stamps))
 
 
-def _of_file(found: Found, poses: Path, T_base_sensor: Pose | None) -> Track:
-    """Read the sensor's track from a file."""
-    if (track := found.own_poses(poses)) is not None:
-        return track
-    track = read_track(poses, found.indices, found.stamps)
-    return track if T_base_sensor is None else track.of_sensor(T_base_sensor)
-
-
-def _own(found: Found, T_base_sensor: Pose | None) -> Track | None:
-    """Return the sensor's own track in the recording, if any."""
-    track = found.own_track()
-    if track is None and found.base_track is not None and T_base_sensor is not None:
-        return found.base_track.of_sensor(T_base_sensor)
-    return track
-
-
 class Source(Protocol):
     """Reader of single scans; picklable."""
-
-    def __len__(self) -> int: ...
 
     def read(self, k: int) -> Scan:
         """Read scan k; times, if any, in seconds after the scan's stamp."""
@@ -199,9 +184,6 @@ class FileSource:
 
     paths: tuple[Path, ...]
     parse: Callable[[bytes], Scan] | None = None  # parser of a file's bytes; None: by suffix
-
-    def __len__(self) -> int:
-        return len(self.paths)
 
     def where(self, k: int) -> str:
         return str(self.paths[k])

@@ -50,11 +50,8 @@ class Signature:
         span = f"{self.low_deg:.1f} to {self.high_deg:.1f} deg"
         if self.many:
             return f"3D, 64 or more beams, {span}"
-        return (
-            f"3D, {self.beams} beams, {span}"
-            if self.beams >= 4
-            else f"3D, no separate beams, {span}"
-        )
+        count = self.beams if self.beams >= 4 else "no separate"
+        return f"3D, {count} beams, {span}"
 
 
 def signature(points: NDArray[np.floating]) -> Signature | None:

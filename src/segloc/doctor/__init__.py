@@ -2,10 +2,9 @@
 
 from .finding import Fault as Fault
 from .finding import Finding as Finding
-from .hints import hint as hint
 from .pose_faults import pose_findings as pose_findings
-from .recording import Examinable as Examinable
 from .recording import Examination as Examination
 from .recording import examine as examine
 from .recording import first_fault as first_fault
+from .recording import hint as hint
 from .scan_faults import scan_findings as scan_findings

@@ -51,13 +51,9 @@ def _turned(R: Float64) -> Callable[[Float64], Float64]:
 
 def _scaled(factor: float) -> Callable[[Float64], Float64]:
     """Read poses as of points in another unit."""
-
-    def read(poses: Float64) -> Float64:
-        scaled: Float64 = poses.copy()
-        scaled[:, :3, 3] *= factor
-        return scaled
-
-    return read
+    scale = np.ones((4, 4))
+    scale[:3, 3] = factor
+    return lambda poses: np.asarray(poses * scale)
 
 
 def _mirrored(poses: Float64) -> Float64:
@@ -153,9 +149,7 @@ READINGS = (
         for degrees in (-90.0, 90.0)
     ),
 )
-MILLIMETRES = next(
-    k for k, reading in enumerate(READINGS) if reading.fault is Fault.POSES_IN_MILLIMETRES
-)
+MILLIMETRES = [reading.fault for reading in READINGS].index(Fault.POSES_IN_MILLIMETRES)
 
 
 _APART_M, _MAX_APART_M = 2.0, 8.0
@@ -249,10 +243,7 @@ def measured(recording: Recording, config: LocalCloudConfig | None = None) -> li
     most_deg = _SHARED_VIEW * view_deg if view_deg < NARROW_DEG else 180.0
     for i, j in _pairs(poses, _unit(poses), most_deg):
         try:
-            target, source = (
-                _standing(recording.scan(i).points),
-                _standing(recording.scan(j).points),
-            )
+            target, source = (_standing(recording.scan(k).points) for k in (i, j))
         except DatasetError:
             continue
         if min(len(target), len(source)) >= _MIN_POINTS and not geometry.in_one_plane(target):
@@ -262,10 +253,8 @@ def measured(recording: Recording, config: LocalCloudConfig | None = None) -> li
 
 def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
     """Fit two clouds at several poses of the second in the first; the first pose is as is."""
-    index, sample = (
-        _native.PointIndex(target, _NEAR_M),
-        source[:: 1 + len(source) // _SAMPLE].copy(),
-    )
+    index = _native.PointIndex(target, _NEAR_M)
+    sample = source[:: 1 + len(source) // _SAMPLE].copy()
 
     def share(poses: list[Pose]) -> Float64:
         return index.overlap(sample, np.stack(poses), _NEAR_M)

@@ -1,21 +1,25 @@
-"""Examine a recording: its facts and findings."""
+"""Examine a recording, and queries that failed: facts, findings and the likely cause."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from .. import geometry
-from ..datasets.inspection import UNUSABLE, Inspectable, Inspection, inspect
-from ..errors import DatasetError
+from ..datasets import RecordedSequence
+from ..datasets.inspection import UNUSABLE, Inspection, inspect
+from ..errors import DatasetError, SeglocError
 from ..frontend.gravity import angle_deg
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
 from ..frontend.tilt import MIN_TILT_DEG, frame_tilt
-from ..types import Recording, Scan
+from ..localization import Localization
+from ..map.segment_map import SegmentMap
+from ..system.text import counted
+from ..types import Recording, Scan, Scanned, as_recording
 from .finding import Fault, Finding
 from .pose_faults import pose_findings
 from .scan_faults import scan_findings
@@ -27,33 +31,32 @@ _TILTED_DEG = 3.0
 """In maps tilted by more, levelled scans are found less often, or falsely."""
 
 
-class Attitude(NamedTuple):
-    """Source of roll and pitch, in one line, and findings on them."""
-
-    text: str
-    findings: tuple[Finding, ...] = ()
+_Attitude = tuple[str, list[Finding]]
 
 
-def attitude_of(recording: Recording, config: LocalCloudConfig, sample: int) -> Attitude:
-    """Examine roll and pitch of the poses, or of ``sample`` scans spread over the recording."""
+def _attitude_of(recording: Recording, config: LocalCloudConfig, sample: int) -> _Attitude:
+    """Return the source of roll and pitch, in one line, and findings on them.
+
+    They are of the poses, or of ``sample`` scans spread over the recording.
+    """
     if recording.poses is None:
         return _of_scans(recording, config, sample)
     try:
         tilt = frame_tilt(recording, config)
     except DatasetError:
-        return Attitude("of the poses")  # a scan that cannot be read is a problem already
+        return "of the poses", []  # a scan that cannot be read is a problem already
     if tilt is None:
-        return Attitude("of the poses (too few walls to check them)")
+        return "of the poses (too few walls to check them)", []
     text = f"of the poses, whose z axis is {tilt.tilt_deg:.1f} deg off vertical"
     if not tilt.is_significant:
-        return Attitude(text)
+        return text, []
     what = f"the frame of the poses is tilted by {tilt.tilt_deg:.1f} degrees, as walls show"
     wrong = tilt.tilt_deg > _TILTED_DEG
     finding = Finding(Fault.POSES_TILTED, what, "`segloc map build --level` turns it", wrong)
-    return Attitude(text, (finding,))
+    return text, [finding]
 
 
-def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> Attitude:
+def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> _Attitude:
     accumulator, sources, off = Accumulator(config), Counter[str](), []
     for scan in sampled(recording, sample):
         cloud = accumulator.gather(scan)
@@ -61,7 +64,7 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> At
         if cloud.attitude != "assumed":
             off.append((cloud.T_local_sensor[2, :3], accumulator.level(scan)))
     if not off:
-        return Attitude("not known: the scans show neither floors nor walls")
+        return "not known: the scans show neither floors nor walls", []
     tilts = [angle_deg(up, level) for up, level in off]
     counts = ", ".join(f"{count} {name}" for name, count in sorted(sources.items()))
     middle, most = float(np.median(tilts)), max(tilts)
@@ -75,7 +78,7 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> At
             "to tell their roll and pitch"
         )
         findings.append(Finding(Fault.TILT, what, "give gravity, or poses", wrong=False))
-    return Attitude(text, tuple(findings))
+    return text, findings
 
 
 def _tilted(ups: np.ndarray, middle: float, most: float) -> Finding:
@@ -108,12 +111,8 @@ class Examination:
         return not any(finding.wrong for finding in self.findings)
 
 
-class Examinable(Recording, Inspectable, Protocol):
-    """A recording that can be inspected."""
-
-
 def examine(
-    recording: Examinable, config: LocalCloudConfig | None = None, sample: int = SAMPLE
+    recording: RecordedSequence, config: LocalCloudConfig | None = None, sample: int = SAMPLE
 ) -> Examination:
     """Examine the facts, some scans and the poses of a recording.
 
@@ -142,15 +141,14 @@ def examine(
         found.append(_NO_POSES)
     text = "not known"
     if not misframed:
-        attitude = attitude_of(recording, config, sample)
-        text = attitude.text
+        text, tilts = _attitude_of(recording, config, sample)
         # Report only the first fault: poses match no scans of a sensor on its side, and misread
         # poses also look tilted.
         sound = not any(finding.wrong for finding in seen)
         posing = pose_findings(recording, config) if sound else []
-        misread = any(finding.wrong for finding in posing)
-        leaning = [one for one in attitude.findings if one.fault is not Fault.POSES_TILTED]
-        found += [*(leaning if misread else attitude.findings), *posing]
+        if any(finding.wrong for finding in posing):
+            tilts = [one for one in tilts if one.fault is not Fault.POSES_TILTED]
+        found += tilts + posing
     order = sorted(found, key=lambda finding: (not finding.wrong, finding.fault is Fault.READING))
     return Examination(facts, text, tuple(order))
 
@@ -211,3 +209,57 @@ def sampled(recording: Recording, count: int) -> list[Scan]:
         with suppress(DatasetError):
             scans.append(recording.scan(i))
     return scans
+
+
+_MAX_LOCALIZED = 0.5  # share of localized queries above which no hint is given
+
+
+def hint(
+    scans: Scanned,
+    results: Sequence[Localization],
+    config: LocalCloudConfig | None = None,
+    *,
+    prior_map: SegmentMap | None = None,
+    known: str | None = None,
+) -> str | None:
+    """Return one line on why most queries fail; None if most succeed or no cause is known.
+
+    Parameters
+    ----------
+    scans : Recording, or list of Scan or of (N, >=3) arrays
+        The scans of the queries.
+    results : list of Localization
+    config : LocalCloudConfig, optional
+        Mount of the sensor.
+    prior_map : SegmentMap, optional
+        The map; a tilted frame is also a cause.
+    known : str, optional
+        Cause known to the caller; no scan is then examined.
+    """
+    found = sum(result.localized for result in results)
+    if found > _MAX_LOCALIZED * len(results):
+        return None
+    failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
+    cause = known or _cause(scans, config, {} if prior_map is None else prior_map.metadata)
+    if cause is not None:
+        return f"{failed} Likely cause: {cause}"
+    if found:
+        return None
+    return (
+        f"{failed} No problem found in the scans: were they taken within the map? "
+        "`segloc explain SCAN --map MAP` shows at which stage they fail"
+    )
+
+
+def _cause(
+    scans: Scanned, config: LocalCloudConfig | None, metadata: Mapping[str, str]
+) -> str | None:
+    """Describe the first problem of the scans, or else of the map's frame."""
+    try:
+        finding = first_fault(as_recording(scans), config)
+    except SeglocError:
+        finding = None
+    frame = None if "T_map_odom" in metadata else metadata.get("frame")
+    if frame and not (finding is not None and finding.wrong):
+        return f"the map's frame is {frame}. Build the map with --level"
+    return None if finding is None else str(finding)

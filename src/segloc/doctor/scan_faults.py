@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
@@ -27,18 +26,12 @@ _ALONG = 0.94  # cosine of 20 degrees, between a normal and its axis
 _BESIDE_M = 0.3  # surfaces this close to the sensor's own height are on neither side
 
 
-@dataclass(frozen=True)
-class Floors:
-    """Flat surfaces on each side of the sensor, across each axis."""
+def _floors(points: Float32) -> tuple[Float64, Float64] | None:
+    """Find flat surfaces in a scan (N, 3), sensor frame; None if there are too few.
 
-    # (3, 2) share of the flat places with normals along x, y or z, on the negative and on the
-    # positive side, in [0, 1]
-    shares: Float64
-    metres: Float64  # (3, 2) median distance along the axis; NaN if there are none
-
-
-def floors(points: Float32) -> Floors | None:
-    """Find flat surfaces in a scan (N, 3), sensor frame; None if there are too few."""
+    Return, on the negative and the positive side across x, y and z (3, 2), the share of the flat
+    places that are there, in [0, 1], and their median distance along the axis [m], NaN without any.
+    """
     near = points[np.einsum("ij,ij->i", points, points) < _NEAR_M**2]
     places = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M).astype(np.float64)
     if len(places) < _MIN_PLACES:
@@ -53,7 +46,7 @@ def floors(points: Float32) -> Floors | None:
         chosen = (np.abs(normals[:, axis]) > _ALONG) & (off > _BESIDE_M)
         shares[axis, side] = chosen.mean()
         metres[axis, side] = np.median(off[chosen]) if chosen.any() else np.nan
-    return Floors(shares, metres)
+    return shares, metres
 
 
 def _normals(places: Float64) -> tuple[Float64, NDArray[np.bool_]]:
@@ -138,8 +131,8 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
 def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
     """Return millimetres or centimetres, by the sensor's height above ground, or by the ranges."""
     for fault, count in _SMALL_UNITS:
-        found = [floors(np.asarray(points / count, dtype=np.float32)) for points in clouds]
-        heights = [each.metres[2, 0] for each in found if each is not None]
+        found = [_floors(np.asarray(points / count, dtype=np.float32)) for points in clouds]
+        heights = [each[1][2, 0] for each in found if each is not None]
         if any(_LOWEST_M < height < _LOW_M for height in heights):
             return fault, count
     return _SMALL_UNITS[reach < _USUAL_RANGE_MM]
@@ -147,12 +140,12 @@ def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
 
 def _axes(clouds: list[Float32]) -> Finding | None:
     """Detect axes with z not up, by floors."""
-    found = [each for points in clouds if (each := floors(points)) is not None]
+    found = [each for points in clouds if (each := _floors(points)) is not None]
     if not found:
         return _beams_about(clouds)
-    shares = np.median([each.shares for each in found], axis=0)
+    shares = np.median([each[0] for each in found], axis=0)
     axis, side = (int(k) for k in np.unravel_index(shares.argmax(), shares.shape))
-    share, metres = shares[axis, side], [each.metres[axis, side] for each in found]
+    share, metres = shares[axis, side], [each[1][axis, side] for each in found]
     other = max(shares[axis, 1 - side], shares[2].max() if axis != 2 else 0.0)
     if (axis, side) == (2, 0):
         return None

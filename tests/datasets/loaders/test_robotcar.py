@@ -11,7 +11,7 @@ from samples.datasets import FLIP, START, angles, made, matrix, us
 from samples.robotcar import FRONT, write_ins, write_sweep
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, open_sequence, swathes
+from segloc.datasets import open_sequence, swathes
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
@@ -54,42 +54,32 @@ def write_vo(path: Path, times: Float64) -> None:
     path.write_text(text)
 
 
-def opened(path: Path, **options: str) -> RecordedSequence:
-    sequence = open_sequence(path, **options)  # type: ignore[arg-type]
-    assert isinstance(sequence, RecordedSequence)
-    return sequence
-
-
 @pytest.mark.parametrize("kind", ["ins", "rtk"])
 def test_sweeps_lie_where_they_were_taken(kind: str, tmp_path: Path) -> None:
     """Stamps lie between those of the poses: taking the earlier one would be 0.1 m off."""
     path, world = traversal(tmp_path, kind=kind)
-    sequence = opened(path)
+    sequence = open_sequence(path)
     assert sequence.format == "Oxford RobotCar"
-    assert sequence.track is not None
     assert sequence.track.source == f"gps/{kind}.csv"
     assert len(sequence) == 50
     assert sequence.notes == ("1 of the 51 scans in lms_front.timestamps are missing",)
     for i in (0, 7, 49):
         scan = sequence.scan(i)
         assert len(scan) == 40  # zeros are no returns
-        assert scan.T_odom_sensor is not None
         np.testing.assert_allclose(
             geometry.transform(scan.T_odom_sensor, scan.points), world[i], atol=1e-4
         )
-    assert scan.T_odom_sensor is not None
     assert scan.T_odom_sensor[2, 2] > 0.99  # z up
-    inner = opened(path / "lms_front")
+    inner = open_sequence(path / "lms_front")
     np.testing.assert_array_equal(inner.poses, sequence.poses)
 
 
 def test_visual_odometry_chains_relative_poses(tmp_path: Path) -> None:
     path, world = traversal(tmp_path, kind="vo")
-    sequence = opened(path)
+    sequence = open_sequence(path)
     clouds = []
     for i in (3, 40):
         scan = sequence.scan(i)
-        assert scan.T_odom_sensor is not None
         clouds.append(geometry.transform(scan.T_odom_sensor, scan.points))
     T = FLIP @ car(START) @ FLIP  # the odometry starts here
     for cloud, i in zip(clouds, (3, 40), strict=True):
@@ -97,7 +87,7 @@ def test_visual_odometry_chains_relative_poses(tmp_path: Path) -> None:
     file = path / "vo" / "vo.csv"
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines[:10], *lines[12:]]))
-    unposed = opened(path)
+    unposed = open_sequence(path)
     assert unposed.poses is None
     assert any("vo.csv: row 10 does not start where the last" in note for note in unposed.notes)
 
@@ -108,21 +98,20 @@ def test_poses_before_the_ins_is_aligned_are_not_used(tmp_path: Path) -> None:
     lines = file.read_text().splitlines()
     head = [line.replace("INS_SOLUTION_GOOD", "INS_ALIGNING") for line in lines[1:11]]
     file.write_text("\n".join([lines[0], *head, *lines[11:]]) + "\n")
-    sequence = opened(path)
+    sequence = open_sequence(path)
     assert sequence.indices[0] == 10
     assert "gps/ins.csv: 10 poses left out: INS not aligned" in sequence.notes
     file.write_text("\n".join([lines[0], *head]) + "\n")
-    unposed = opened(path)
+    unposed = open_sequence(path)
     assert unposed.poses is None
     assert any("ins.csv: the INS was never aligned" in note for note in unposed.notes)
 
 
 def test_swathes_of_a_traversal(tmp_path: Path) -> None:
     path, world = traversal(tmp_path, seconds=4.0)
-    gathered = swathes(opened(path), 30.0)
+    gathered = swathes(open_sequence(path), 30.0)
     assert len(gathered) == 1
     cloud = gathered.scan(0)
-    assert cloud.T_odom_sensor is not None
     points = geometry.transform(cloud.T_odom_sensor, cloud.points)
     count = len(points) // 40
     np.testing.assert_allclose(points, np.vstack(world[:count]), atol=1e-4)
@@ -135,7 +124,7 @@ def test_the_radar_sets_velodyne(tmp_path: Path) -> None:
     data = np.vstack([points.T, np.ones(50)]).astype("<f4").tobytes()
     (made(path / "velodyne_left") / f"{stamp}.bin").write_bytes(data)
     with pytest.raises(DatasetError, match=r"--topic lms_front\|velodyne_left"):
-        opened(path)
-    scan = opened(path, topic="velodyne_left").scan(0)
+        open_sequence(path)
+    scan = open_sequence(path, topic="velodyne_left").scan(0)
     mounted = matrix((-0.60072, -0.34077, -0.26837), (-0.0053948, -0.041998, -3.1337))
     np.testing.assert_allclose(scan.points, geometry.transform(FLIP @ mounted, points), atol=1e-4)

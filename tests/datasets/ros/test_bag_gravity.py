@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +42,17 @@ def down(time: float) -> Float64:
     return direction
 
 
-def bag_of(kind: str, *, placed: bool = True) -> BagWriter:
+def bag_of(
+    kind: str,
+    acceleration: Callable[[float], Float64] | None = None,
+    *,
+    times: Float64 = TIMES,
+    placed: bool = True,
+) -> BagWriter:
+    """The drive's clouds, an IMU that measures this, and both in tf unless not placed."""
     bag = BagWriter(kind)
+    for time in times if acceleration else ():
+        bag.imu("/imu", time, acceleration(time))
     for i, stamp in enumerate(DRIVE.stamps):
         bag.cloud("/points", stamp, DRIVE.seen(i), "lidar")
     if placed:
@@ -52,9 +62,7 @@ def bag_of(kind: str, *, placed: bool = True) -> BagWriter:
 
 
 def opened(bag: BagWriter, path: Path, **options: object) -> RecordedSequence:
-    sequence = open_sequence(bag.write(path), **options)  # type: ignore[arg-type]
-    assert isinstance(sequence, RecordedSequence)
-    return sequence
+    return open_sequence(bag.write(path), **options)
 
 
 def errors(sequence: RecordedSequence) -> list[float]:
@@ -62,7 +70,6 @@ def errors(sequence: RecordedSequence) -> list[float]:
     found = []
     for i, stamp in enumerate(DRIVE.stamps):
         gravity = sequence.scan(i).gravity
-        assert gravity is not None
         found.append(angle_deg(gravity, down(stamp)))
     return found
 
@@ -72,9 +79,7 @@ def errors(sequence: RecordedSequence) -> list[float]:
 def test_gravity_of_accelerometers(kind: str, length: float, tmp_path: Path) -> None:
     """In m/s2, or in g as Livox' drivers have it; an average over shaking."""
     rng = np.random.default_rng(0)
-    bag = bag_of(kind)
-    for time in TIMES:
-        bag.imu("/imu", time, felt(time, length) + 0.1 * length * rng.normal(size=3))
+    bag = bag_of(kind, lambda time: felt(time, length) + 0.1 * length * rng.normal(size=3))
     sequence = opened(bag, tmp_path / "drive")
     assert sequence.poses is None and sequence.notes == ()
     assert sequence.gravity is not None and sequence.gravity.name == "/imu"
@@ -115,14 +120,10 @@ def test_what_is_no_gravity_is_not_taken(tmp_path: Path) -> None:
         "huge": lambda t: np.full(3, 1e308),
     }
     for name, acceleration in cases.items():
-        bag = bag_of("sqlite3")
-        for time in TIMES:
-            bag.imu("/imu", time, acceleration(time))
+        bag = bag_of("sqlite3", acceleration)
         assert opened(bag, tmp_path / name).scan(2).gravity is None, name
     for name, times in (("few", TIMES[::40]), ("clock", TIMES - 1000.0)):
-        bag = bag_of("sqlite3")
-        for time in times:
-            bag.imu("/imu", time, felt(time))
+        bag = bag_of("sqlite3", felt, times=times)
         assert opened(bag, tmp_path / name).scan(2).gravity is None, name
 
 
@@ -136,9 +137,7 @@ def test_an_imu_whose_place_is_not_known(tmp_path: Path) -> None:
     message = "/other: no transform lidar -> there in the bag: assumed aligned"
     assert sequence.notes == (message,)
     np.testing.assert_allclose(sequence.scan(1).gravity, -Z, atol=1e-9)
-    over = bag_of("sqlite3", placed=False)
-    for time in TIMES:
-        over.imu("/imu", time, -9.81 * Z)
+    over = bag_of("sqlite3", lambda time: -9.81 * Z, placed=False)
     assert opened(over, tmp_path / "over").scan(1).gravity is None
     own = bag_of("sqlite3", placed=False)
     for time in TIMES:
@@ -149,9 +148,8 @@ def test_an_imu_whose_place_is_not_known(tmp_path: Path) -> None:
 
 
 def test_poses_come_before_gravity(tmp_path: Path) -> None:
-    bag = bag_of("mcap")
+    bag = bag_of("mcap", felt)
     for time in TIMES:
-        bag.imu("/imu", time, felt(time))
         bag.odometry("/odom", time, DRIVE.pose(time), "base_link")
     sequence = opened(bag, tmp_path / "drive")
     assert sequence.gravity is None and sequence.scan(2).gravity is None

@@ -15,7 +15,7 @@ from samples.bags import KINDS, BagWriter
 from samples.datasets import START, Drive, matrix
 
 from segloc import geometry
-from segloc.datasets import RecordedSequence, open_sequence
+from segloc.datasets import open_sequence
 from segloc.datasets.inspection import inspect
 from segloc.datasets.ros.bag_messages import livox_scan
 from segloc.errors import DatasetError
@@ -23,12 +23,6 @@ from segloc.types import Float64
 
 DRIVE = Drive.make(8)
 MOUNT = matrix((0.4, 0.1, 1.2), (0.05, -0.02, 0.3))
-
-
-def opened(path: Path, **options: object) -> RecordedSequence:
-    sequence = open_sequence(path, **options)  # type: ignore[arg-type]
-    assert isinstance(sequence, RecordedSequence)
-    return sequence
 
 
 def clouds(bag: BagWriter, topic: str = "/points", frame: str = "lidar") -> BagWriter:
@@ -50,32 +44,31 @@ def test_clouds_stamps_and_odometry(kind: str, tmp_path: Path) -> None:
         bag.odometry("/odom", time, DRIVE.pose(time) @ geometry.inverse(MOUNT), "base_link")
     bag.tf("/tf_static", START - 1, MOUNT, "base_link", "lidar")
     path = bag.write(tmp_path / "drive", compress=kind == "ros1")
-    sequence = opened(path)
+    sequence = open_sequence(path)
     assert (sequence.name, sequence.frame, len(sequence)) == ("drive", "lidar", 8)
     assert {"ros1": "ROS 1", "sqlite3": "SQLite", "mcap": "MCAP"}[kind] in sequence.format
     np.testing.assert_allclose(sequence.stamps, DRIVE.stamps, atol=1e-6)
     np.testing.assert_allclose(sequence.poses, DRIVE.poses, atol=1e-4)
-    assert sequence.track is not None
     assert sequence.track.source == "/odom"
     for i in (5, 0, 7):  # in any order
         np.testing.assert_allclose(sequence.scan(i).points, DRIVE.seen(i), atol=1e-5)
     again = pickle.loads(pickle.dumps(sequence))
     np.testing.assert_array_equal(again.scan(3).points, sequence.scan(3).points)
     inside = next(path.glob("*.[dm]*[b3p]")) if path.is_dir() else path
-    np.testing.assert_array_equal(opened(inside).scan(2).points, sequence.scan(2).points)
-    assert opened(path, poses="none").poses is None
+    np.testing.assert_array_equal(open_sequence(inside).scan(2).points, sequence.scan(2).points)
+    assert open_sequence(path, poses="none").poses is None
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_compression_makes_no_difference(kind: str, tmp_path: Path) -> None:
-    plain = opened(clouds(BagWriter(kind)).write(tmp_path / "plain"))
-    packed = opened(clouds(BagWriter(kind)).write(tmp_path / "packed", compress=True))
+    plain = open_sequence(clouds(BagWriter(kind)).write(tmp_path / "plain"))
+    packed = open_sequence(clouds(BagWriter(kind)).write(tmp_path / "packed", compress=True))
     np.testing.assert_array_equal(plain.stamps, packed.stamps)
     np.testing.assert_array_equal(plain.scan(5).points, packed.scan(5).points)
 
 
 def test_a_recording_in_several_bags(tmp_path: Path) -> None:
-    plain = opened(clouds(BagWriter("ros1")).write(tmp_path / "plain"))
+    plain = open_sequence(clouds(BagWriter("ros1")).write(tmp_path / "plain"))
     several = tmp_path / "several"
     several.mkdir()
     for part in range(2):
@@ -83,7 +76,7 @@ def test_a_recording_in_several_bags(tmp_path: Path) -> None:
         for i in range(4 * part, 4 * part + 4):
             bag.cloud("/points", DRIVE.stamps[i], DRIVE.seen(i))
         bag.write(several / f"part_{1 - part}")
-    whole = opened(several)
+    whole = open_sequence(several)
     np.testing.assert_array_equal(whole.stamps, plain.stamps)
     np.testing.assert_array_equal(whole.scan(5).points, plain.scan(5).points)
 
@@ -99,8 +92,7 @@ def test_poses_from_tf(kind: str, tmp_path: Path) -> None:
         if k % 5 == 0 or time + 0.1 > times()[-1]:
             bag.tf("/tf", time, shift, "map", "/odom")
     bag.tf("/tf_static", START - 1, MOUNT, "base_link", "lidar")
-    sequence = opened(bag.write(tmp_path / "drive"))
-    assert sequence.track is not None
+    sequence = open_sequence(bag.write(tmp_path / "drive"))
     assert sequence.track.source == "tf, map to lidar"
     np.testing.assert_allclose(sequence.poses, DRIVE.poses, atol=1e-4)
 
@@ -109,7 +101,7 @@ def test_odometry_of_an_unknown_body_is_not_used(tmp_path: Path) -> None:
     bag = clouds(BagWriter("sqlite3"))
     for time in times():
         bag.odometry("/odom", time, DRIVE.pose(time), "base_link")
-    sequence = opened(bag.write(tmp_path / "drive"))
+    sequence = open_sequence(bag.write(tmp_path / "drive"))
     assert sequence.poses is None
     assert sequence.notes == (
         "no transform base_link -> lidar in the bag, so /odom is not used: record /tf_static, or "
@@ -118,7 +110,8 @@ def test_odometry_of_an_unknown_body_is_not_used(tmp_path: Path) -> None:
     bag = clouds(BagWriter("sqlite3"))
     for time in times():
         bag.odometry("/odom", time, DRIVE.pose(time), "lidar")
-    np.testing.assert_allclose(opened(bag.write(tmp_path / "2")).poses, DRIVE.poses, atol=1e-4)
+    known = open_sequence(bag.write(tmp_path / "2"))
+    np.testing.assert_allclose(known.poses, DRIVE.poses, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -128,15 +121,15 @@ def test_topics(kind: str, tmp_path: Path) -> None:
     path = bag.write(tmp_path / "drive")
     several = r"several topics, choose one with --topic: /front \(8\), /rear \(8\)"
     with pytest.raises(DatasetError, match=several):
-        opened(path)
-    assert opened(path, topic="/rear").frame == "rear"
+        open_sequence(path)
+    assert open_sequence(path, topic="/rear").frame == "rear"
     with pytest.raises(DatasetError, match=r"no scans on '/odom'; available: /front \(8\)"):
-        opened(path, topic="/odom")
+        open_sequence(path, topic="/odom")
     other = BagWriter(kind)
     other.odometry("/odom", START, np.eye(4), "base")
     path = other.write(tmp_path / "other")
     with pytest.raises(DatasetError, match=r"no topic of scans; topics: /odom \(nav_msgs/msg/O"):
-        opened(path)
+        open_sequence(path)
 
 
 @pytest.mark.parametrize(
@@ -149,21 +142,17 @@ def test_times_of_points(field: str, dtype: str, unit: float, since: float, tmp_
     count = len(DRIVE.landmarks)
     spread = np.linspace(0, 0.09, count)
     for stamp in DRIVE.stamps:
-        seen = np.array([
-            geometry.transform(geometry.inverse(DRIVE.pose(stamp + t)), point[None])[0]
-            for t, point in zip(spread, DRIVE.landmarks, strict=True)
-        ])  # fmt: skip
+        seen = DRIVE.swept(stamp + spread)
         values = (spread + since * stamp) * unit
         bag.cloud("/points", stamp, seen, times=(field, dtype, values))
     for time in np.arange(START - 0.05, DRIVE.stamps[-1] + 0.2, 0.02):
         bag.odometry("/odom", time, DRIVE.pose(time), "lidar")
     path = bag.write(tmp_path / "drive")
-    sequence = opened(path)
+    sequence = open_sequence(path)
     assert field in sequence.fields
     for i in (0, 7):
         np.testing.assert_allclose(sequence.scan(i).points, DRIVE.seen(i), atol=2e-4)
-    raw = opened(path, deskew=False).scan(0)
-    assert raw.times is not None
+    raw = open_sequence(path, deskew=False).scan(0)
     np.testing.assert_allclose(raw.times, spread, atol=1e-6)
 
 
@@ -174,17 +163,14 @@ def test_livox_messages(kind: str, package: str, tmp_path: Path) -> None:
     bag = BagWriter(kind)
     spread = np.linspace(0, 0.09, len(DRIVE.landmarks))
     for stamp in DRIVE.stamps:
-        seen = np.array([
-            geometry.transform(geometry.inverse(DRIVE.pose(stamp + t)), point[None])[0]
-            for t, point in zip(spread, DRIVE.landmarks, strict=True)
-        ])  # fmt: skip
+        seen = DRIVE.swept(stamp + spread)
         seen[3] = 0.0  # no return
         bag.livox("/livox/lidar", stamp, seen, spread, package)
     bag.livox("/livox/lidar", DRIVE.stamps[-1] + 0.1, np.empty((0, 3)), np.empty(0), package)
     for time in np.arange(START - 0.05, DRIVE.stamps[-1] + 0.3, 0.02):
         bag.odometry("/odom", time, DRIVE.pose(time), "livox")
     bag.laser("/scan", START, np.ones(9), 0.5, 0.0)  # passed over
-    sequence = opened(bag.write(tmp_path / "drive"))
+    sequence = open_sequence(bag.write(tmp_path / "drive"))
     assert (len(sequence), sequence.frame) == (9, "livox")
     assert sequence.fields == "x y z reflectivity tag line offset_time"
     for i in (0, 7):
@@ -192,7 +178,6 @@ def test_livox_messages(kind: str, package: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(sequence.scan(i).points, expected, atol=2e-4)
     assert len(sequence.scan(8)) == 0
     raw = sequence.raw(0)
-    assert raw.times is not None
     np.testing.assert_allclose(raw.times, np.delete(spread, 3), atol=1e-8)
 
 
@@ -224,7 +209,7 @@ def test_sweeps_of_a_planar_scanner(kind: str, tmp_path: Path) -> None:
     hit = np.delete(np.arange(271), [0, 7, 9, 20])
     for k, stamp in enumerate(DRIVE.stamps):
         bag.laser("/scan", stamp, ranges, step, 1e-4 if k else 0.0)
-    sequence = opened(bag.write(tmp_path / "drive"))
+    sequence = open_sequence(bag.write(tmp_path / "drive"))
     assert (sequence.frame, sequence.fields) == ("laser", "x y intensity time")
     assert inspect(sequence).sensor == "2D, one plane"
     assert sequence.scan(0).times is None
@@ -234,8 +219,8 @@ def test_sweeps_of_a_planar_scanner(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(scan.times, 1e-4 * hit, atol=1e-8)
     clouds(bag)  # clouds are preferred, and sweeps can still be chosen
     path = bag.write(tmp_path / "both")
-    assert opened(path).frame == "lidar"
-    assert opened(path, topic="/scan").frame == "laser"
+    assert open_sequence(path).frame == "lidar"
+    assert open_sequence(path, topic="/scan").frame == "laser"
 
 
 def test_layouts_of_clouds(tmp_path: Path) -> None:
@@ -249,7 +234,7 @@ def test_layouts_of_clouds(tmp_path: Path) -> None:
     bag.cloud("/points", START + 0.1, points, height=4, padding=12)
     bag.cloud("/points", START + 0.2, broken)
     bag.cloud("/points", START + 0.3, points[:0])
-    sequence = opened(bag.write(tmp_path / "drive"))
+    sequence = open_sequence(bag.write(tmp_path / "drive"))
     for i in (0, 1):
         np.testing.assert_allclose(sequence.scan(i).points, points, atol=1e-5)
     scan = sequence.scan(2)
@@ -263,14 +248,13 @@ def test_stamps_that_are_missing_or_do_not_rise(tmp_path: Path) -> None:
     for k, shift in enumerate([0.0, 0.1, -0.3, 0.3, 0.3, 0.5]):
         bag.cloud("/points", START + shift, DRIVE.seen(0))
         bag.messages[-1] = (round((START + 0.1 * k) * 1e9), *bag.messages[-1][1:])
-    sequence = opened(bag.write(tmp_path / "back"))
-    assert sequence.stamps is not None
+    sequence = open_sequence(bag.write(tmp_path / "back"))
     np.testing.assert_allclose(sequence.stamps - START, [0.0, 0.1, 0.3, 0.5], atol=1e-6)
     assert sequence.notes == ("2 of 6 messages dropped: stamps do not rise",)
     bag = BagWriter("ros1", late_s=START)
     for k in range(3):
         bag.cloud("/points", 0.0, DRIVE.seen(k))
-    sequence = opened(bag.write(tmp_path / "zero"))
+    sequence = open_sequence(bag.write(tmp_path / "zero"))
     assert sequence.notes == ("/points has no stamps: using log times",)
     np.testing.assert_allclose(sequence.scan(2).points, DRIVE.seen(2), atol=1e-5)  # same time
 
@@ -281,7 +265,7 @@ def test_two_sensors_on_one_topic(tmp_path: Path) -> None:
     message = r"message 8 of /points is in frame 'rear', those before it in 'lidar': two sensors"
     path = bag.write(tmp_path / "drive")
     with pytest.raises(DatasetError, match=message):
-        opened(path)
+        open_sequence(path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -295,7 +279,7 @@ def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
         file.write_bytes(data[: int(share * len(data))])
         for place in {path, file}:
             try:
-                sequence = opened(place)
+                sequence = open_sequence(place)
                 for i in range(len(sequence)):
                     np.testing.assert_allclose(
                         sequence.scan(i).points, DRIVE.seen(int(sequence.indices[i])), atol=1e-5

@@ -26,13 +26,11 @@ _COLUMNS = (0, 1, 2, 3, 7, 8, 9)  # microseconds, x, y, z, roll, pitch, yaw
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a sequence's folder."""
     beside = any((path / name).is_dir() for name in ("applanix", "calib"))
     return beside and holds_scans(path / "lidar", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     files = scan_files(path / "lidar")
     truth = path / "applanix" / "lidar_poses.csv"
     return Found(

@@ -36,12 +36,10 @@ INNER = tuple(f"LiDAR/{name}" for name in POINTS)
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a sequence's folder."""
     return any(holds_scans(path / "LiDAR" / name, 15) for name in POINTS)
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     present = [name for name in POINTS if holds_scans(path / "LiDAR" / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / "LiDAR" / sensor)

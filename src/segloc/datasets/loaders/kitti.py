@@ -24,19 +24,20 @@ INNER = ("velodyne",)
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a sequence's folder."""
     beside = any((path / name).is_file() for name in ("calib.txt", "times.txt"))
     return beside and holds_scans(path / "velodyne")
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne")
     indices = numbers(files)
     stamps, note = _stamps(path / "times.txt", indices)
-    truth = next((file for file in _truths(path) if file.is_file()), None)
+    folder = path.resolve()
+    # SemanticKITTI's, then the benchmark's.
+    truths = path / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"
+    truth = next((file for file in truths if file.is_file()), None)
     return Found(
-        name=path.resolve().name,
+        name=folder.name,
         format=NAME,
         source=FileSource(tuple(files), parse_float4),
         indices=indices,
@@ -47,12 +48,6 @@ def find(path: Path, topic: str | None) -> Found:
         notes=(note,) if note else (),
         own_poses=lambda file: camera_track(file, path, str(file)),
     )
-
-
-def _truths(path: Path) -> tuple[Path, Path]:
-    """Return candidate pose files: SemanticKITTI's, then the benchmark's."""
-    folder = path.resolve()
-    return path / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"
 
 
 def _stamps(path: Path, indices: Int64) -> tuple[Float64 | None, str]:

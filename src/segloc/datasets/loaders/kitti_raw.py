@@ -26,12 +26,10 @@ _MAX_PACKET = 4096  # bytes
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a drive's folder."""
     return holds_scans(path / "velodyne_points" / "data")
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne_points" / "data")
     indices = numbers(files)
     times = _read_times(path / "velodyne_points" / "timestamps.txt")

@@ -23,12 +23,10 @@ MOUNT = ((1.7042, -0.021, 1.8047), (radians(0.0001), radians(0.0003), radians(17
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a sequence's folder."""
     return holds_scans(path / "Ouster", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     files = scan_files(path / "Ouster")
     truth = path / "global_pose.csv"
     return Found(

@@ -24,12 +24,10 @@ _STEP_M, _OFFSET_M = 0.005, -100.0
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a session's folder."""
     return holds_scans(path / "velodyne_sync", 15)
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     files = scan_files(path / "velodyne_sync")
     truth = _truth(path.resolve())
     return Found(

@@ -24,7 +24,6 @@ _TRUTHS = ("ground_truth/registered_poses.csv", "registered_poses.csv")
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is an experiment's folder."""
     return any(_holds_clouds(path / inner) for inner in INNER)
 
 
@@ -33,7 +32,6 @@ def _holds_clouds(folder: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     folder = next(path / inner for inner in INNER if _holds_clouds(path / inner))
     scans = sorted(
         (int(match[1]) + 1e-9 * int(match[2]), file)

@@ -30,7 +30,6 @@ Row = dict[str, Any]
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a data root."""
     return bool(_versions(path))
 
 

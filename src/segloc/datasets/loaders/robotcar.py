@@ -9,6 +9,7 @@ north, west, up, and points are in the frame of the car with x forward, y left, 
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -46,12 +47,10 @@ _UNUSABLE = frozenset({"INS_INACTIVE", "INS_ALIGNING"})
 
 
 def recognises(path: Path) -> bool:
-    """Whether the path is a traversal's folder."""
     return any(holds_scans(path / name, 15) for name in MOUNTS)
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the scans and read what describes them."""
     present = [name for name in MOUNTS if holds_scans(path / name, 15)]
     sensor = choose(path, present, topic)
     files = scan_files(path / sensor)
@@ -117,10 +116,8 @@ def _track(path: Path, name: str) -> Track:
     track = clean_track(name, rows[:, 0] * 1e-6, poses)
     if not lost:
         return track
-    note = f"{name}: {lost} poses left out: INS not aligned"
-    return Track(
-        name, track.keys, track.poses, note=f"{note}; {track.note}" if track.note else note
-    )
+    notes = [f"{name}: {lost} poses left out: INS not aligned", *filter(None, [track.note])]
+    return replace(track, note="; ".join(notes))
 
 
 def _aligned(path: Path) -> np.ndarray:

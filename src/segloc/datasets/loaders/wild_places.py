@@ -25,7 +25,6 @@ _COLUMNS = ("timestamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def recognises(path: Path) -> bool:
-    """Return whether the path is a run's folder."""
     return _truth(path) is not None and any(_clouds(path / inner) for inner in INNER)
 
 
@@ -42,7 +41,6 @@ def _clouds(folder: Path) -> list[tuple[float, Path]]:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the clouds and read what describes them."""
     clouds = next(found for inner in INNER if (found := _clouds(path / inner)))
     truth = _truth(path)
     return Found(

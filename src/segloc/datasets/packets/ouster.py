@@ -38,7 +38,6 @@ def _metadata(path: Path) -> dict[str, Path]:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the turns; nothing is decoded yet."""
     present = _metadata(path)
     name = choose(path, list(present), topic)
     sensor = read_sensor(read_file(present[name]), str(present[name]))
@@ -89,15 +88,10 @@ class TurnSource:
     sensor: Sensor
     turns: Turns  # offsets in the file
 
-    def __len__(self) -> int:
-        return len(self.turns)
-
     def where(self, k: int) -> str:
-        """Return the name of turn k for messages."""
         return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:
-        """Decode the turn at position k."""
         with faults_of(self.path):
             first, stop = int(self.turns.firsts[k]), int(self.turns.stops[k])
             with mapped(self.path) as data:

@@ -37,8 +37,16 @@ PIXEL_BYTES = {
     "RNG15_RFL8_NIR8_ZONE16": 8,
     "FUSA_RNG15_RFL8_NIR8_DUAL": 8,
 }
-
-
+"""Bytes of a pixel by packet profile; the range comes first in all of them."""
+_RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
+           "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
+"""Type, mask and unit (m) of the range."""
+FRAME = "os_sensor"
+FIELDS = "range reflectivity time"
+_MAX_COLUMNS = 1 << 15
+IMU_BYTES = 48
+"""Size of an IMU packet: three times of 8 bytes, acceleration [g], angular velocity [deg/s]."""
+_IMU_ACCELERATION = 24
 _MIN_PACKETS = 8  # per turn; turns at the ends of a recording have fewer
 
 
@@ -88,18 +96,6 @@ def gather(packets: Iterable[tuple[int, float, int, int]], sensor: Sensor) -> Tu
         np.array([turn.stop for turn in kept], np.int64),
         (f"{missing} of {len(kept)} turns miss packets",) if missing else (),
     )
-
-
-FRAME = "os_sensor"
-FIELDS = "range reflectivity time"
-"""Bytes of a pixel by packet profile; the range comes first in all of them."""
-_RANGES = {"LEGACY": ("<u4", 0xFFFFF, 1e-3), "RNG19": ("<u4", 0x7FFFF, 1e-3),
-           "RNG15": ("<u2", 0x7FFF, 8e-3)}  # fmt: skip
-"""Type, mask and unit (m) of the range."""
-_MAX_COLUMNS = 1 << 15
-IMU_BYTES = 48
-"""Size of an IMU packet: three times of 8 bytes, acceleration [g], angular velocity [deg/s]."""
-_IMU_ACCELERATION = 24
 
 
 @dataclass(frozen=True)
@@ -248,12 +244,11 @@ def _layout(rows: int, columns: int, size: int, range_type: str, legacy: bool) -
     pixel = np.dtype(
         {"names": ["range"], "formats": [range_type], "offsets": [0], "itemsize": size}
     )
-    places = [0, 8, before + rows * size if legacy else 10, before]
     column = np.dtype(
         {
             "names": ["time", "number", "status", "pixels"],
             "formats": ["<u8", "<u2", "<u4" if legacy else "<u2", (pixel, (rows,))],
-            "offsets": places,
+            "offsets": [0, 8, before + rows * size if legacy else 10, before],
             "itemsize": before + rows * size + after,
         }
     )

@@ -23,7 +23,7 @@ from .captures import mapped, records
 NAME = "Velodyne packets"
 INNER: tuple[str, ...] = ()
 PACKET = 1206  # bytes
-_POINTS_A_PACKET = 12 * 32
+_POINTS_PER_PACKET = 12 * 32
 _BLOCK = b"\xff\xee"
 _PRODUCTS = {"HDL32E": 0x21, "VLP16": 0x22, "PuckHiRes": 0x24, "VLP32C": 0x28}
 """The byte that ends a packet, by sensor model."""
@@ -34,12 +34,11 @@ _MIN_PACKETS = 8  # per turn; turns at the ends of a capture have fewer
 
 
 def recognises(path: Path) -> bool:
-    """Return whether the path is a capture."""
     return path.suffix == ".pcap" and path.is_file()
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the turns; nothing is decoded yet.
+    """List the turns.
 
     ``topic`` may override the sensor model named in the packets: HDL32E, VLP16, PuckHiRes or
     VLP32C.
@@ -96,29 +95,19 @@ class TurnSource:
     turns: Int64  # (T, 2) first packet of each turn and the one after its last
     model: str | None  # sensor model; None: as named in the packets
 
-    def __len__(self) -> int:
-        return len(self.turns)
-
     def where(self, k: int) -> str:
-        """Return the name of turn k for messages."""
         return f"{self.path}: turn {k}"
 
     def read(self, k: int) -> Scan:
-        """Decode the turn at position k."""
         with faults_of(self.path):
             packets = []
             first, stop = map(int, self.turns[k])
-            check_packets(stop - first)
+            check_points(_POINTS_PER_PACKET * (stop - first))
             with self.path.open("rb") as file:
                 for i in range(first, stop):
                     file.seek(int(self.places[i]))
                     packets.append((float(self.stamps[i]), file.read(PACKET)))
             return decode(packets, self.where(k), self.model)
-
-
-def check_packets(count: int) -> None:
-    """Raise DatasetError if the packets hold more points than a scan may have."""
-    check_points(_POINTS_A_PACKET * count)
 
 
 def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None = None) -> Scan:
@@ -136,7 +125,7 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
     except ImportError as error:
         purpose = "reading Velodyne packets"
         raise MissingDependency("velodyne-decoder", "packets", purpose) from error
-    check_packets(len(packets))
+    check_points(_POINTS_PER_PACKET * len(packets))
     if not packets:  # the decoder aborts the process on none
         raise DatasetError(f"{where}: no packets")
     if any(len(data) != PACKET for _, data in packets):

@@ -9,7 +9,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ...errors import DatasetError, MissingDependency, SeglocError
 from ...io import fields
@@ -30,11 +30,7 @@ _INDEX_ENTRY_BYTES = 12  # ROS 1
 _BRACKETS = re.compile(r"[\[\]{}]")
 
 
-class _Decompressor(Protocol):
-    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
-
-
-def unpacked(decompressor: _Decompressor, data: bytes, size: int | None = None) -> bytes:
+def unpacked(decompressor: Any, data: bytes, size: int | None = None) -> bytes:
     """Decompress data of at most ``size`` bytes, if given.
 
     Raise DatasetError if the output is larger than that, or than the limit of a message.
@@ -43,7 +39,7 @@ def unpacked(decompressor: _Decompressor, data: bytes, size: int | None = None) 
     if size is not None:
         check_bytes(size, "a chunk", limit)
     allowed = limit if size is None else size
-    unpacked = decompressor.decompress(data, allowed + 1)
+    unpacked: bytes = decompressor.decompress(data, allowed + 1)
     if len(unpacked) > allowed:
         if size is None:
             check_bytes(len(unpacked), "a chunk or message", limit)
@@ -51,21 +47,10 @@ def unpacked(decompressor: _Decompressor, data: bytes, size: int | None = None) 
     return unpacked
 
 
-def _lz4() -> _Decompressor:
+def _lz4() -> Any:
     from lz4.frame import LZ4FrameDecompressor
 
-    decompressor: _Decompressor = LZ4FrameDecompressor()
-    return decompressor
-
-
-def unpack_bz2(data: bytes) -> bytes:
-    """Replace rosbags' own function for chunks of ROS 1 bags."""
-    return unpacked(bz2.BZ2Decompressor(), data)
-
-
-def unpack_lz4(data: bytes) -> bytes:
-    """Replace rosbags' own function for chunks of ROS 1 bags."""
-    return unpacked(_lz4(), data)
+    return LZ4FrameDecompressor()
 
 
 class _LimitedFile:
@@ -168,8 +153,8 @@ def limit_chunks(reader: AnyReader) -> None:
     from rosbags.rosbag1.reader import Compression, decompressors
 
     ours = {
-        decompressors[Compression.BZ2.value]: unpack_bz2,
-        decompressors[Compression.LZ4.value]: unpack_lz4,
+        decompressors[Compression.BZ2.value]: lambda data: unpacked(bz2.BZ2Decompressor(), data),
+        decompressors[Compression.LZ4.value]: lambda data: unpacked(_lz4(), data),
     }
     for bag in () if reader.is2 else reader.readers:
         if len({item.id for item in bag.connections}) < len(bag.connections):

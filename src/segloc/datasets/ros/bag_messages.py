@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import DatasetError
 from ...system.budget import check_points
 from ...types import Scan
+from ..layout import returned
 from ..packets.velodyne import decode
 from . import bag_ouster, pointcloud2
 from .bag_file import seconds
@@ -19,19 +19,8 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 
-class Sweep(Protocol):
-    """sensor_msgs/LaserScan."""
-
-    angle_min: float
-    angle_increment: float
-    time_increment: float
-    range_min: float
-    range_max: float
-    ranges: NDArray[np.float32]
-
-
-def sweep_scan(sweep: Sweep) -> Scan:
-    """Convert a sweep to points, with times after its stamp if it has them.
+def sweep_scan(sweep: Any) -> Scan:
+    """Convert a sensor_msgs/LaserScan to points, with times after its stamp if it has them.
 
     Ranges outside the sensor's limits are no returns, by the message's definition.
 
@@ -77,19 +66,11 @@ def livox_scan(data: bytes, *, cdr: bool) -> Scan:
     rows = body[first:] + b"\0" * (step - _POINT)  # the last point is not padded
     if count * step > len(rows):
         raise DatasetError(f"cut off: {count} points in {max(0, len(body) - first)} bytes")
-    kinds = [f"{order}{kind}" for kind in ("u4", "f4", "f4", "f4")]
     point = np.dtype(
-        {
-            "names": ["offset_time", "x", "y", "z"],
-            "formats": kinds,
-            "offsets": [0, 4, 8, 12],
-            "itemsize": step,
-        }
+        [("offset_time", f"{order}u4"), ("xyz", f"{order}f4", 3), ("rest", f"V{step - 16}")]
     )
     points = np.frombuffer(rows, point, count)
-    xyz = np.column_stack([points[axis].astype(np.float32) for axis in "xyz"])
-    hit = (xyz != 0).any(axis=1)
-    return Scan(xyz[hit], times=points["offset_time"][hit] * 1e-9)
+    return returned(points["xyz"].astype(np.float32), points["offset_time"] * 1e-9)
 
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"

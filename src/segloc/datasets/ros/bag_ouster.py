@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from ..gravity import Accelerometer, GravitySource
 from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, Turns, gather, read_sensor
 from ..recorded import Found
 from .bag_file import BagFile, connections_of, faults_of
-from .bag_place import find_place
+from .bag_place import placed
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -57,32 +58,28 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
         raise DatasetError(
             f"{topic}: no Ouster turn: too few packets of {sensor.packet.itemsize} bytes"
         )
-    place = find_place(reader, paths, FRAME, turns.stamps, turns.firsts)
-    return Found(
+    found = Found(
         name=name,
         format=storage,
         source=BagTurns(paths, topic, sensor, turns),
         indices=np.arange(len(turns)),
         stamps=turns.stamps,
-        own_track=lambda: place.track,
-        base_track=place.base,
-        T_base_sensor=place.T_base_sensor,
-        gravity=place.gravity or _gravity(reader, topic, sensor, turns),
         topic=topic,
         frame=FRAME,
         fields=FIELDS,
-        notes=(*turns.notes, *place.remarks),
+        notes=turns.notes,
     )
+    found = placed(found, reader, paths, turns.stamps, turns.firsts)
+    if found.gravity is not None:
+        return found
+    return replace(found, gravity=_gravity(reader, topic, sensor, turns))
 
 
 def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> GravitySource | None:
     """Return gravity from the sensor's own IMU packets, if any."""
     beside = topic.rpartition("/")[0]
-    wanted = [
-        item
-        for item in reader.connections
-        if is_imu(item) and item.topic.rpartition("/")[0] == beside
-    ]
+    imus = [item for item in reader.connections if is_imu(item)]
+    wanted = [item for item in imus if item.topic.rpartition("/")[0] == beside]
     stamps, rows = [], []
     for _, time, data in reader.messages(wanted) if wanted else ():
         packet = _array(data, cdr=reader.is2)[:IMU_BYTES]
@@ -135,15 +132,10 @@ class BagTurns:
     def __init__(self, paths: tuple[Path, ...], topic: str, sensor: Sensor, turns: Turns) -> None:
         self._file, self._topic, self._sensor, self._turns = BagFile(paths), topic, sensor, turns
 
-    def __len__(self) -> int:
-        return len(self._turns)
-
     def where(self, k: int) -> str:
-        """Return the name of turn k for messages."""
         return f"{self._file.path}: turn {k} of {self._topic}"
 
     def read(self, k: int) -> Scan:
-        """Decode the turn at position k."""
         first, stop = int(self._turns.firsts[k]), int(self._turns.stops[k])
         with faults_of(self._file.path):
             found = _packets(self._file.reader(), self._topic, self._sensor, first, stop)

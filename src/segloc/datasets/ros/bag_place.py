@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import DatasetError
 from ...motion import interpolated
 from ...types import Float64, Int64, Pose
-from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, GravitySource, gravity_of
+from ..gravity import HALF_WINDOW_S, ORIENTATION_ERROR_DEG, Gravity, gravity_of
+from ..recorded import Found
 from ..tracks import LONGEST_GAP_S, Track, clean_track, quaternion_poses
 from .bag_file import BagFile, faults_of, fullest_topics, messages_of, optional, seconds
-from .bag_tf import (
-    Edges,
-    chain,
-    frame_name,
-    is_pose,
-    mount,
-    mount_on_base,
-    read_tf,
-    row,
-)
+from .bag_tf import Edges, chain, frame_name, is_pose, mount, mount_on_base, read_tf, row
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -181,23 +173,16 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
     return Gravity(down, ORIENTATION_ERROR_DEG) if fits else None
 
 
-class Place(NamedTuple):
-    """Poses, mount and gravity of a sensor."""
+def placed(
+    found: Found, reader: AnyReader, paths: tuple[Path, ...], stamps: Float64, logged: Int64
+) -> Found:
+    """Return scans with the sensor's poses, mount and gravity, and remarks on unusable ones.
 
-    track: Track | None  # of the sensor
-    base: Track | None  # else of a body on which the sensor's mount is unknown
-    remarks: list[str]  # on unusable poses and gravity
-    T_base_sensor: Pose | None  # (4, 4) by tf, on a frame with a usual name of a robot's body
-    gravity: GravitySource | None
-
-
-def find_place(
-    reader: AnyReader, paths: tuple[Path, ...], frame: str, stamps: Float64, logged: Int64
-) -> Place:
-    """Read poses and tf; gravity is read around each scan on access.
+    Reads poses and tf; gravity is read around each scan on access.
 
     stamps, logged: (N,) of the scans: stamps [s] and log times [ns]
     """
+    frame = found.frame
     edges, lost = read_tf(reader)
     remarks: list[str] = []
     track, base = _find_tracks(reader, edges, frame, remarks)
@@ -208,4 +193,11 @@ def find_place(
         imu = _find_imu(reader, edges, frame)
     up = np.array([0.0, 0.0, 1.0]) if T is None else T[2, :3].copy()
     gravity = imu and BagGravity(BagFile(paths), *imu, stamps, logged, up)
-    return Place(track, base, remarks, T, gravity)
+    return replace(
+        found,
+        own_track=lambda: track,
+        base_track=base,
+        T_base_sensor=T,
+        gravity=gravity,
+        notes=(*found.notes, *remarks),
+    )

@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import quote
@@ -25,7 +26,7 @@ from ..tracks import rising
 from . import bag_ouster
 from .bag_file import BagFile, connections_of, faults_of, opened
 from .bag_messages import KINDS, defines_times, fields_of, scan_of
-from .bag_place import find_place
+from .bag_place import placed
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -45,10 +46,6 @@ class Headers:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def with_stamps(self, stamps: Float64) -> Headers:
-        """Return the same messages at other stamps."""
-        return replace(self, stamps=stamps)
-
     def part(self, mask: NDArray[np.bool_]) -> Headers:
         """Return the messages of a mask."""
         frames = tuple(name for name, kept in zip(self.frames, mask, strict=True) if kept)
@@ -66,7 +63,8 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
     heads: Iterable[tuple[int, bytes]]
     if files and all(file.suffix == ".db3" for file in files) and not _compressed(paths):
-        heads = sorted((row for file in files for row in _sqlite_heads(file, topic)), key=_when)
+        rows = [row for file in files for row in _sqlite_heads(file, topic)]
+        heads = sorted(rows, key=itemgetter(0))
     elif not reader.is2 and (places := _ros1_places(reader, topic)) is not None:
         heads = places
     else:
@@ -85,11 +83,8 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
         stamps.append(stamp * 1e-9)
         frames.append(names.setdefault(frame, frame))
     times = np.array(logged, dtype=np.int64)
-    return Headers(np.array(stamps, np.float64), times, _ranks(times), tuple(frames))
-
-
-def _when(row: tuple[int, bytes]) -> int:
-    return row[0]
+    ranks = np.arange(len(times)) - np.searchsorted(times, times)
+    return Headers(np.array(stamps, np.float64), times, ranks, tuple(frames))
 
 
 def _compressed(paths: tuple[Path, ...]) -> bool:
@@ -121,7 +116,7 @@ def _ros1_places(reader: AnyReader, topic: str) -> Iterator[tuple[int, bytes]] |
     ]
     if any(chunk.decompressor is not decompressors["none"] for _, _, chunk, _ in entries):
         return None
-    entries.sort(key=lambda entry: int(entry[0]))
+    entries.sort(key=itemgetter(0))
     return ((time, _ros1_head(bag.bio, chunk.datapos + at)) for time, bag, chunk, at in entries)
 
 
@@ -156,12 +151,6 @@ def _text(head: bytes, start: int, length: int) -> str:
     if start + length > len(head):
         raise IndexError
     return head[start : start + length].rstrip(b"\0").decode("utf-8", "replace").lstrip("/")
-
-
-def _ranks(times: Int64) -> Int64:
-    """Return for each of sorted times the number of equal ones before it."""
-    first = np.searchsorted(times, times, side="left")
-    return np.asarray(np.arange(len(times)) - first, dtype=np.int64)
 
 
 NAME = "bag"
@@ -217,29 +206,21 @@ def find(path: Path, topic: str | None) -> Found:
         chosen = _choose(path, reader, topic)
         if bag_ouster.on(reader, chosen):
             return bag_ouster.find(reader, paths, chosen, name, _kind(paths[0]))
-        headers = read_headers(reader, paths, chosen)
-        if not len(headers):
-            raise DatasetError(f"{path}: no messages on {chosen}")
-        headers, notes = _in_order(headers, str(path), chosen)
-        place = find_place(reader, paths, headers.frames[0], headers.stamps, headers.logged)
+        headers, notes = _in_order(read_headers(reader, paths, chosen), str(path), chosen)
         fields = _fields(reader, chosen)
-        times_sure = defines_times(reader, chosen, fields)
-    return Found(
-        name=name,
-        format=_kind(paths[0]),
-        source=BagSource(paths, chosen, headers),
-        indices=np.arange(len(headers)),
-        stamps=headers.stamps,
-        own_track=lambda: place.track,
-        base_track=place.base,
-        T_base_sensor=place.T_base_sensor,
-        gravity=place.gravity,
-        topic=chosen,
-        frame=headers.frames[0],
-        fields=fields,
-        notes=(*notes, *place.remarks),
-        times_sure=times_sure,
-    )
+        found = Found(
+            name=name,
+            format=_kind(paths[0]),
+            source=BagSource(paths, chosen, headers),
+            indices=np.arange(len(headers)),
+            stamps=headers.stamps,
+            topic=chosen,
+            frame=headers.frames[0],
+            fields=fields,
+            notes=tuple(notes),
+            times_sure=defines_times(reader, chosen, fields),
+        )
+        return placed(found, reader, paths, headers.stamps, headers.logged)
 
 
 def _kind(path: Path) -> str:
@@ -281,6 +262,8 @@ def _listed(topics: dict[str, int]) -> str:
 
 def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[str]]:
     """Return the messages with rising stamps, all of one frame."""
+    if not len(headers):
+        raise DatasetError(f"{path}: no messages on {topic}")
     frames = sorted(set(headers.frames))
     if len(frames) > 1:
         second = next(k for k, name in enumerate(headers.frames) if name != headers.frames[0])
@@ -290,7 +273,7 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
         )
     if not headers.stamps.any():
         note = f"{topic} has no stamps: using log times"
-        return headers.with_stamps(np.asarray(headers.logged * 1e-9, np.float64)), [note]
+        return replace(headers, stamps=np.asarray(headers.logged * 1e-9, np.float64)), [note]
     later = rising(headers.stamps)
     lost = len(later) - int(later.sum())
     if not lost:
@@ -313,15 +296,10 @@ class BagSource:
     def __init__(self, paths: tuple[Path, ...], topic: str, headers: Headers) -> None:
         self._file, self._topic, self._headers = BagFile(paths), topic, headers
 
-    def __len__(self) -> int:
-        return len(self._headers)
-
     def where(self, k: int) -> str:
-        """Return the name of message k for errors."""
         return f"{self._file.path}: message {k} of {self._topic}"
 
     def read(self, k: int) -> Scan:
-        """Read scan k."""
         stamp = float(self._headers.stamps[k])
         with faults_of(self._file.path):
             data, kind = self._message(k)

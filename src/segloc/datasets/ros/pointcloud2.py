@@ -6,8 +6,7 @@ ns), Velodyne (time, s), Hesai and RoboSense (timestamp, s since 1970) and Livox
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ...errors import DatasetError
 from ...system.budget import check_points
 from ...types import Float64, Scan
+from ..layout import returned
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
@@ -22,31 +22,12 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "
 _EPOCH_S = 1e8  # larger times are seconds since 1970
 
 
-class Field(Protocol):
-    """sensor_msgs/PointField."""
-
-    name: str
-    offset: int
-    datatype: int
-    count: int
-
-
-class Cloud(Protocol):
-    """sensor_msgs/PointCloud2."""
-
-    height: int
-    width: int
-    fields: Sequence[Field]
-    is_bigendian: bool
-    point_step: int
-    row_step: int
-    data: NDArray[np.uint8]
-
-
-def to_scan(cloud: Cloud, stamp: float) -> Scan:
+def to_scan(cloud: Any, stamp: float) -> Scan:
     """Convert a message to points, with times after ``stamp``; drops missing returns.
 
-    ``stamp`` [s] is the message's own.
+    cloud: sensor_msgs/PointCloud2
+    stamp: the message's own [s]
+
     Raise DatasetError if x, y or z is missing, or the message is shorter than its declared size.
     """
     columns = _columns(cloud)
@@ -59,11 +40,10 @@ def to_scan(cloud: Cloud, stamp: float) -> Scan:
             f"no field {str(error).lower()}; fields: {', '.join(columns) or 'none'}"
         ) from error
     times = _seconds(columns, stamp)
-    hit = (xyz != 0).any(axis=1)
-    return Scan(xyz[hit], times=None if times is None else times[hit])
+    return returned(xyz, times)
 
 
-def _columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
+def _columns(cloud: Any) -> dict[str, NDArray[Any]]:
     """Return each single-valued field, (N,); row by row, since rows may be padded."""
     rows, width = int(cloud.height), int(cloud.width)
     check_points(rows * width)
