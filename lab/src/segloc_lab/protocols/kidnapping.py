@@ -5,7 +5,8 @@
 A part of each world is mapped in one session and driven through in another, with other cars and a
 tenth of the things replaced. Each robot drives 40 m along the map. Then it is put to another street
 (20 m away at least), to a place that is not in the map, or turned on the spot, and drives on for
-100 m, as far as the drive goes. Its odometry drifts by 1 % and goes on as if nothing had happened.
+100 m, or as far as the drive goes: if possible 60 m along the map. Its odometry drifts by 1 % and
+goes on as if nothing had happened.
 Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of the truth, where the
 map has the place. Held: metres of the whole trial localized farther off than that.
 
@@ -172,19 +173,20 @@ class World:
         spacing, truths = self.kind.spacing_m, self.truths
         before = int(BEFORE_M / spacing)
         inside, known = self._inside, self.known
-        taken = int(rng.choice(known[known >= before] if (known >= before).any() else known))
-        if way == "turn":
-            return taken, taken, way
+        known = known[known >= before] if (known >= before).any() else known
+        taken = int(rng.choice(known))
         if way == "outside":
             beyond = self._whole(self._beside > OUTSIDE_M, NOTICED_M)
             if len(beyond):
                 return taken, int(rng.choice(beyond)), way
-        for metres in (RECOVERED_M, RECOVERED_M / 2):
-            whole = self._whole(inside, metres)
+        stretches = [self._whole(inside, metres) for metres in (RECOVERED_M, RECOVERED_M / 2)]
+        for whole in stretches if way != "turn" else ():
             away = np.linalg.norm(truths[whole, :2, 3] - truths[taken, :2, 3], axis=1)
             if (away >= AWAY_M).any():
                 return taken, int(rng.choice(whole[away >= AWAY_M])), "street"
-        return taken, taken, "turn"
+        stays = [np.intersect1d(known, whole) for whole in stretches]
+        place = int(rng.choice(next((found for found in stays if len(found)), known)))
+        return place, place, "turn"
 
     def _whole(self, where: NDArray[np.bool_], metres: float) -> Int64:
         """Return positions with a complete stretch of the drive after them."""
