@@ -56,6 +56,7 @@ def align(
     """
     from ..config import validated
     from ..loops import AlignConfig, Reposed, align_sessions
+    from ..loops.summary import summary
     from ..system.processes import executing
     from .recording import open_recordings
     from .results import check_folder
@@ -86,9 +87,10 @@ def align(
             recordings, chosen, settings, progress, executor=executor, folder=shared
         )
         aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
-        _write(out, alignment, settings)
+        facts = summary(alignment)
+        _write(out, alignment, settings, facts)
         _write_maps(out, alignment, aligned, chosen, executor)
-    _show(alignment, out)
+    _show(alignment, facts, out)
 
 
 def _is_map(path: Path) -> bool:
@@ -135,25 +137,24 @@ def _into_map(
     configured = options.map_settings(described, config, threads)
     recordings = opened(sequences, configured)
     alignment = align_to_map(prior_map, recordings, configured, settings, progress)
-    _write_poses(out, alignment, settings, summary_to_map(alignment))
-    for name, line in map_rows(alignment):
+    facts = summary_to_map(alignment)
+    _write_poses(out, alignment, settings, facts)
+    for name, line in map_rows(facts):
         print(f"{name}: {line}")
     print(f"{out}: session_0.tum ..., poses in the frame of {paths[0].name}; alignment.json")
 
 
-def map_rows(alignment: MapAlignment) -> list[tuple[str, str]]:
-    """Describe how well each session is connected to the map."""
-    from ..loops.summary import summary_to_map
-
+def map_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """Describe how well each session is connected to the map, by ``summary_to_map``."""
     return [
         (
-            facts["name"],
-            f"{facts['anchors_accepted']} of {facts['submaps']} submaps agree "
-            f"({facts['anchors_rejected']} rejected), residual "
-            f"{facts['residual_after']['median_m']:.2f} m (median); at "
-            f"most {facts['unanchored_m']:.0f} m from one of them",
+            each["name"],
+            f"{each['anchors_accepted']} of {each['submaps']} submaps agree "
+            f"({each['anchors_rejected']} rejected), residual "
+            f"{each['residual_after']['median_m']:.2f} m (median); at "
+            f"most {each['unanchored_m']:.0f} m from one of them",
         )
-        for facts in summary_to_map(alignment)["sessions"]
+        for each in facts["sessions"]
     ]
 
 
@@ -175,11 +176,11 @@ def _write_poses(
     write_text(out / "alignment.json", json.dumps(facts, indent=2) + "\n")
 
 
-def _write(out: Path, alignment: Alignment, settings: AlignConfig) -> None:
-    from ..loops.summary import loops_csv, loops_jsonl, picture, summary
+def _write(out: Path, alignment: Alignment, settings: AlignConfig, facts: dict[str, Any]) -> None:
+    from ..loops.summary import loops_csv, loops_jsonl, picture
     from ..system.files import replacing, write_text
 
-    _write_poses(out, alignment, settings, summary(alignment))
+    _write_poses(out, alignment, settings, facts)
     write_text(out / "loops.csv", loops_csv(alignment))
     write_text(out / "loops.jsonl", loops_jsonl(alignment))
     try:
@@ -214,10 +215,7 @@ def _write_maps(
             prior_map.save(out / _map_name(c))
 
 
-def _show(alignment: Alignment, out: Path) -> None:
-    from ..loops.summary import summary
-
-    facts = summary(alignment)
+def _show(alignment: Alignment, facts: dict[str, Any], out: Path) -> None:
     loops, before, after = facts["loops"], facts["residual_before"], facts["residual_after"]
     rows = [
         ("sessions", str(len(alignment.names))),

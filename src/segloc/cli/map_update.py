@@ -95,11 +95,12 @@ def update(
 def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> Scans:
     """Return a session with poses in the frame of a map."""
     from ..loops import align_to_map
+    from ..loops.summary import summary_to_map
     from ..types import Reposed
     from .align import map_rows
 
     alignment = align_to_map(where, [recording], config, stage=progress)
-    for name, line in map_rows(alignment):
+    for name, line in map_rows(summary_to_map(alignment)):
         note(f"{name}: {line}")
     return Reposed(recording, alignment.poses[0])
 

@@ -27,8 +27,8 @@ from ..types import Float64, Int64, Recording
 from .console import Update, busy, note, number, table
 from .results import error_rows, print_json, write_results
 
-MAX_ROWS = 20
-_MOST = 0.5
+_MAX_ROWS = 20
+_MAX_EXCLUDED = 0.5  # share of queries, up to which the prior is not named as the cause
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,10 @@ def _show_answers(evaluation: Evaluation, title: str) -> None:
         print(sentence(evaluation.results[0]))
     else:
         order = _worst_first(evaluation)
-        rows = [_row(evaluation, i) for i in order[:MAX_ROWS]]
+        rows = [_row(evaluation, i) for i in order[:_MAX_ROWS]]
         table(title, ("query", "confidence", "pose / reason"), rows, texts=(0, 2))
-        if len(order) > MAX_ROWS:
-            more = len(order) - MAX_ROWS
+        if len(order) > _MAX_ROWS:
+            more = len(order) - _MAX_ROWS
             print(f"{more} more with higher confidence; --out DIR or --json has all")
     if len(evaluation) > 1 or evaluation.truths is not None:
         _show_summary(evaluation.summary(), title)
@@ -231,7 +231,7 @@ def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
     """Describe where the first query that a prior excludes is found without the prior."""
     priors = run.each_prior(queries.near, len(results))
     excluded = [i for i, each in enumerate(results) if each.reason is Reason.NOT_NEAR_PRIOR]
-    if len(excluded) <= _MOST * len(results):
+    if len(excluded) <= _MAX_EXCLUDED * len(results):
         return None
     first, localizer = excluded[0], queries.localizer
     prior, position = priors[first], queries.positions[first : first + 1]

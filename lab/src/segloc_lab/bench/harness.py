@@ -369,7 +369,7 @@ class MatchProblem:
 def match_problem() -> MatchProblem:
     """Matches of a query cloud with a map of 1 km by 1 km.
 
-    One in a hundred is true, at most one a query, and true matches tend to stand before false ones.
+    One percent of the matches are true, at most one per query; true matches tend to come first.
     """
     queries, neighbours, mapped = 300, 25, 50_000
     rng = np.random.default_rng([0, 79])
