@@ -21,7 +21,7 @@ from segloc.export.tracks import Place
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
 from segloc.loops import AlignConfig, Alignment
 from segloc.loops.loops import Loop
-from segloc.loops.summary import RECORD
+from segloc.loops.summary import RECORD, summary
 from segloc.types import Descriptors, Float64
 
 
@@ -74,7 +74,7 @@ def aligned(tmp_path: Path) -> tuple[Path, Alignment]:
         ["a", "b", "c"], indices, tracks, [T @ t for t in tracks], [[0, 1], [2]], loops, *ends
     )
     out = tmp_path / "aligned"
-    _write(out, found, AlignConfig())
+    _write(out, found, AlignConfig(), summary(found))
     return out, found
 
 
