@@ -137,7 +137,7 @@ def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tup
     if not others:
         return len(first), share(sum(first), len(first))
     best = max((right for right in others if len(right) == len(first)), key=sum, default=None)
-    p = None if best is None else round(mcnemar(first, best), 3)
+    p = None if best is None else f"{mcnemar(first, best):.2g}"
     return (len(first), *counts, p)
 
 
