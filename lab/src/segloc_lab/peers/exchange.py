@@ -195,7 +195,7 @@ def settings_of(options: argparse.Namespace) -> str:
 def opened(
     folder: Path, options: argparse.Namespace, *systems: str
 ) -> tuple[Clouds, Clouds, list[Answers], list[int]]:
-    """Return the views, the queries, the answers of each system so far, and the queries left."""
+    """Return the views, the queries, the stored answers of each system, and the pending queries."""
     queries, settings = Clouds.load(folder / "queries.npz"), settings_of(options)
     answers = [Answers.resume(folder, system, queries, settings) for system in systems]
     views = Clouds.load(folder / f"views-{options.views}.npz")
