@@ -68,7 +68,7 @@ def test_answers_and_maps_are_drawn(
     assert low < prior_map.centroids[:, 0].min() < prior_map.centroids[:, 0].max() < high
     pyplot.close("all")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingDependency, match=r"segloc\[report\]"):
+    with pytest.raises(MissingDependency, match=r"\(extra report\): pip install 'matplotlib"):
         prior_map.plot()
 
 

@@ -68,7 +68,7 @@ def test_what_is_none_is_refused(text: str) -> None:
 
 def test_without_pyproj_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyproj", None)
-    with pytest.raises(MissingDependency, match=r"segloc\[geo\]"):
+    with pytest.raises(MissingDependency, match=r"\(extra geo\): pip install 'pyproj"):
         Georeference(31466).on_globe(np.zeros((1, 3)))
 
 

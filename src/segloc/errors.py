@@ -7,6 +7,9 @@ import re
 _MORE_LINES = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 _LONGEST = 3000
 
+INSTALL_LAB = "run `pip install ./lab` in a clone of segloc"
+"""Remedy if something of ``segloc-lab`` is missing."""
+
 
 class SeglocError(Exception):
     """Base of all errors of segloc; the message is one line.
@@ -46,11 +49,16 @@ class ConfigError(SeglocError, ValueError):
 
 
 class MissingDependency(SeglocError, ImportError):
-    """An optional package is missing; the message has the command to install it."""
+    """An optional package is missing; the message has the command to install it.
+
+    The command names the package itself: it works however segloc was installed.
+    """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        what = "segloc-lab" if extra == "lab" else f"'segloc[{extra}]'"
-        super().__init__(f"{purpose} needs {package}: pip install {what}")
+        distribution = "segloc-lab" if extra == "lab" else "segloc"
+        requirement = _requirement(distribution, package)
+        source = distribution if extra == "lab" else f"extra {extra}"
+        super().__init__(f"{purpose} needs {package} ({source}): pip install '{requirement}'")
         self._needed = (package, extra, purpose)
 
     def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:
@@ -59,3 +67,15 @@ class MissingDependency(SeglocError, ImportError):
 
 class LiveError(SeglocError):
     """A live localizer has stopped; the exception that stopped it is its cause."""
+
+
+def _requirement(distribution: str, package: str) -> str:
+    """Return a package with the versions that a distribution declares for it."""
+    from importlib import metadata
+
+    try:
+        declared = metadata.requires(distribution) or []
+    except metadata.PackageNotFoundError:
+        declared = []
+    found = (each.partition(";")[0].strip() for each in declared)
+    return next((each for each in found if each.startswith(package)), package)

@@ -372,7 +372,7 @@ def test_without_matplotlib_there_is_no_picture(
     monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
     localize_toy(toy, tmp_path / "out")
     assert set(files(tmp_path / "out")) == PICTURE - PICTURES
-    assert "pip install 'segloc[report]'" in " ".join(capsys.readouterr().err.split())
+    assert "pip install 'matplotlib" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_missing_reader_is_named(
@@ -380,7 +380,7 @@ def test_a_missing_reader_is_named(
 ) -> None:
     write_scan(tmp_path / "0.laz", np.eye(3))
     monkeypatch.setitem(sys.modules, "laspy", None)
-    match = r"laspy.*: pip install 'segloc\[io\]'"
+    match = r"\(extra io\): pip install 'laspy\[lazrs\]"
     refused(match, "localize", tmp_path, "--map", toy.map, "--out", tmp_path / "out")
 
 

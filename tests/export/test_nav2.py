@@ -95,5 +95,5 @@ def test_a_slice_leaves_out_what_is_above_it(tmp_path: Path) -> None:
 
 
 def test_absurd_slices_are_refused() -> None:
-    with pytest.raises(ConfigError, match="--low below --high"):
+    with pytest.raises(ConfigError, match="LOW below HIGH"):
         GridOptions(low_m=2.0, high_m=1.0)

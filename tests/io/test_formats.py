@@ -213,7 +213,7 @@ def test_an_empty_bin_is_an_empty_scan_and_nuscenes_has_five_columns(tmp_path: P
 def test_missing_laspy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_scan(tmp_path / "a.laz", cloud())
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingDependency, match=r"pip install 'segloc\[io\]'"):
+    with pytest.raises(MissingDependency, match=r"pip install 'laspy\[lazrs\]"):
         read_scan(tmp_path / "a.laz")
 
 

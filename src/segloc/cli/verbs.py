@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from ..errors import SeglocError
+from ..errors import INSTALL_LAB, SeglocError
 
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 ORDER = (
@@ -148,9 +148,7 @@ def _add_missing(app: typer.Typer, name: str) -> None:
     """Add a hidden verb that names the distribution it belongs to."""
 
     def missing() -> None:
-        raise SeglocError(
-            f"`segloc {name}` belongs to the laboratory: install it with `pip install segloc-lab`"
-        )
+        raise SeglocError(f"`segloc {name}` belongs to segloc-lab: {INSTALL_LAB}")
 
     settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     app.command(name, hidden=True, context_settings=settings)(missing)

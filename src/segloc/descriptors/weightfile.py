@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from safetensors.numpy import save
 
-from ..errors import DatasetError, WeightsError
+from ..errors import INSTALL_LAB, DatasetError, WeightsError
 from ..system import tensor_file
 from ..system.budget import check_bytes
 from ..system.files import replacing
@@ -137,7 +137,7 @@ def shipped_weights(file: str) -> Path:
         path = folder / "weights" / file
         if path.is_file():
             return path
-    raise WeightsError(f"{file} is not part of segloc: pip install segloc-lab")
+    raise WeightsError(f"{file} belongs to segloc-lab: {INSTALL_LAB}")
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:

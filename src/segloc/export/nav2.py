@@ -40,7 +40,7 @@ class GridOptions:
     def __post_init__(self) -> None:
         if not (0.01 <= self.resolution_m <= 5.0 and 0.0 < self.low_m < self.high_m):
             raise ConfigError(
-                "a grid needs cells of 0.01 to 5 m and --low below --high, not "
+                "a grid needs cells of 0.01 to 5 m and heights LOW below HIGH, not "
                 f"{self.resolution_m:g} m and {self.low_m:g} to {self.high_m:g} m"
             )
 
