@@ -133,7 +133,7 @@ ONE = ("element vertex 1", *XYZ)
 
 add("scan", "wide.npy", npy(f"(0, {HUGE})"), "impossible shape")
 add("scan", "long.npy", npy(f"({HUGE}, 0)"), "impossible shape")
-add("scan", "lie.npy", npy(f"({HUGE}, 3)"), "needs")
+add("scan", "lie.npy", npy(f"({HUGE}, 3)"), "need")
 add("scan", "negative.npy", npy("(-1, 3)"), "not an array")
 add("scan", "words.npy", npy("(1 1, 3)"), "bad header")
 add("scan", "objects.npy", npy("(1, 3)", "|O"), "not an array")
@@ -145,7 +145,7 @@ add("scan", "lie.npz", archive("points.npy", b"\3\0", 1 << 31), "cannot hold")
 add("scan", "short_lie.npz", archive("points.npy", bomb(20 << 20), 100), "NPZ|NPY|header")
 add("scan", "noise.npz", b"PK\3\4" + bytes(range(256)) * 9, "NPZ")
 add("scan", "many.laz", laz(50_000_000), LIMIT)
-add("scan", "lie.laz", laz(900_000), "hold fewer")
+add("scan", "lie.laz", laz(900_000), "promises 900000")
 add("scan", "noise.las", b"LASF" + b"\xff" * 4000, "LAS")
 add("scan", "many.pcd", pcd("WIDTH 999999999999", "POINTS 999999999999"), LIMIT)
 add("scan", "product.pcd", pcd(f"WIDTH {10**17}", f"HEIGHT {10**17}", f"POINTS {10**17}"), "POINTS")
@@ -167,7 +167,7 @@ add("scan", "endless.ply", ply("element face 2", "property list uint int i", *ON
 add("scan", "lists.ply", ply("element face 900000", "property list uchar uchar i", *ONE,
     body=b"\0\1\0" * 450_000 + bytes(12)), "1 points", may_be_read=True)  # fmt: skip
 add("scan", "ascii.ply", ply("element vertex 900000", *XYZ, encoding="ascii", body=b"1 2 3\n"),
-    "rows")  # fmt: skip
+    "promises 900000")  # fmt: skip
 add("scan", "many.vtk", b"# vtk DataFile\n\nASCII\nPOINTS 99999999999999999 float\n1 2 3\n", LIMIT)
 add("scan", "words.vtk", b"# vtk DataFile\n\nASCII\nPOINTS 1 float\n1 2 x 4 5 6\n", "vtk")
 add("scan", "lie.vtk", b"# vtk DataFile\n\nBINARY\nPOINTS 900000 double\n" + bytes(99), "need")

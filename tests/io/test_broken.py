@@ -6,15 +6,20 @@ import os
 import struct
 import tracemalloc
 import zipfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from samples import io as io_samples
+from samples.e57 import e57_file
 from samples.io import cloud
+from samples.walk import run
 
 from segloc.errors import DatasetError
 from segloc.io import read_scan
+from segloc.io.clouds import read_cloud
 
 SAMPLES = io_samples.samples(cloud(40))
 # A cut through these can look like a smaller file, or one with a shorter last number.
@@ -24,18 +29,27 @@ WITH_SOMETHING_BEHIND = ("ascii.ply", "little.ply", "ascii.vtk", "binary.vtk")
 
 
 def read(folder: Path, name: str, data: bytes) -> int | None:
-    """How many points are read, or None where the error is as it should be."""
+    """How many points are read, or None where the error is as it should be.
+
+    What is refused as a scan is refused as a finished cloud, and the other way round.
+    """
     path = folder / name
     path.write_bytes(data)
+    as_cloud = counted(path, lambda: sum(len(part) for part in read_cloud(path)))
+    as_scan = counted(path, lambda: len(scan := read_scan(path)) + scan.dropped)
+    assert (as_cloud is None) == (as_scan is None)
+    return as_scan
+
+
+def counted(path: Path, count: Callable[[], int]) -> int | None:
     try:
-        scan = read_scan(path)
+        return count()
     except DatasetError as error:
         message = str(error)
         assert message.startswith(f"{path}: ")
         assert "\n" not in message
         assert len(message) < len(str(path)) + 300
         return None
-    return len(scan) + scan.dropped
 
 
 @pytest.mark.parametrize("name", sorted(SAMPLES))
@@ -54,6 +68,46 @@ def test_truncated_anywhere(name: str, tmp_path: Path) -> None:
             assert count is None or (count == 40 and end > len(data) - 25), end
         else:
             assert count is None, end
+
+
+GLIM = ("0/points_compact.bin", "0/data.txt")
+
+
+def glim(folder: Path) -> Path:
+    """Write a dump of one submap of 40 points."""
+    (folder / "0").mkdir(parents=True)
+    (folder / GLIM[0]).write_bytes(cloud(40).tobytes())
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in np.eye(4))
+    (folder / GLIM[1]).write_text(f"id: 0\nT_world_origin: \n{rows}")
+    return folder
+
+
+@pytest.mark.parametrize("name", GLIM)
+def test_a_dump_truncated_anywhere(name: str, tmp_path: Path) -> None:
+    data = (glim(tmp_path / "dump") / name).read_bytes()
+    for end in range(0, len(data) - 4, 7):
+        (tmp_path / "dump" / name).write_bytes(data[:end])
+        if name == GLIM[0] and end % 12 == 0:
+            assert len(np.concatenate(list(read_cloud(tmp_path / "dump")))) == end // 12
+            continue
+        with pytest.raises(DatasetError, match=r"points_compact\.bin: .*(cut off|T_world_origin)"):
+            list(read_cloud(tmp_path / "dump"))
+
+
+@pytest.mark.parametrize("name", [*sorted(SAMPLES), "scans.e57", *GLIM])
+def test_commands_refuse_truncated_clouds(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of a file ends in one line; if nothing tells that it is half, it shows too little."""
+    made = {"scans.e57": partial(e57_file, (cloud(40), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
+    path = glim(tmp_path) if name in GLIM else tmp_path / name
+    data = (path / name).read_bytes() if name in GLIM else made.get(name, lambda: SAMPLES[name])()
+    (tmp_path / name).write_bytes(data[: len(data) // 2 - 1])
+    assert run("map", "from-cloud", path, "--out", tmp_path / "m.segmap") == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("segloc: error: ")
+    assert str(path) in line or name in HEADERLESS
+    assert run("doctor", path) == (name not in HEADERLESS or name.endswith(".bin"))
 
 
 @pytest.mark.parametrize("name", sorted(SAMPLES))

@@ -5,16 +5,18 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import DatasetError, InvalidScan, MissingDependency
 from ..geometry import transform
 from ..system.checks import checked_pose
 from ..types import Float64
 from . import pcd, ply
-from .fields import PointLayout, column, faults_of, one_line
-from .las import import_laspy
+from .fields import PointLayout, column, faults_of, one_line, require_points
+from .las import las_parts
 from .npy import as_points, parse_array
 from .scans import read_file, read_scan, scan_suffix
 from .text import COMMENTS, table_parts, text_parts
@@ -104,16 +106,35 @@ def _placed(path: Path) -> Float64 | None:
 def _parts(path: Path) -> Iterator[Float64]:
     suffix = path.suffix.lower()
     if path.name == GLIM:
-        return iter([np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)])
+        return iter([_glim_points(path)])
     if suffix == ".e57":
         return _e57(path)
     if suffix in (".las", ".laz"):
-        return _las(path)
+        return las_parts(path, PART)
     if suffix == ".npy":
-        return iter([as_points(parse_array(read_file(path)))[:, :3].astype(np.float64)])
+        return iter([_float64(as_points(parse_array(read_file(path)))[:, :3])])
     if suffix in (".pcd", ".ply", *_TEXT) and path.stat().st_size:
         return _mapped(path, suffix)
     return iter([read_scan(path).points.astype(np.float64)])
+
+
+_GLIM_BYTES = 12  # of a point: three float32
+
+
+def _glim_points(path: Path) -> Float64:
+    """Return the points of a submap of GLIM, in its own frame."""
+    size = path.stat().st_size
+    if size % _GLIM_BYTES:
+        raise DatasetError(
+            f"{size} bytes are no multiple of {_GLIM_BYTES} bytes per point: the file is cut off, "
+            "copy it again"
+        )
+    return np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)
+
+
+def _float64(points: NDArray[Any]) -> Float64:
+    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaN
+        return np.asarray(points, dtype=np.float64)
 
 
 def _mapped(path: Path, suffix: str) -> Iterator[Float64]:
@@ -128,39 +149,23 @@ def _mapped(path: Path, suffix: str) -> Iterator[Float64]:
         if layout is None:
             yield read_scan(path).points.astype(np.float64)
         elif layout.text:
-            yield from table_parts(data, layout.start, layout.columns, layout.count)
+            yield from table_parts(data, layout.start, layout.columns, layout.count, layout.stride)
         else:
             yield from _records(data, layout)
 
 
 def _records(data: mmap.mmap, layout: PointLayout) -> Iterator[Float64]:
     """The coordinates of binary points."""
-    if layout.start + layout.count * layout.stride > len(data):
-        raise DatasetError(f"{layout.count} points do not fit into the file: it is cut off")
+    require_points(layout.count, max(len(data) - layout.start, 0) // layout.stride)
     for first in range(0, layout.count, PART):
         count = min(PART, layout.count - first)
         at = layout.start + first * layout.stride
         part = data[at : at + count * layout.stride]
-        yield np.column_stack(
-            [
-                column(part, dtype, count, place, layout.stride).astype(np.float64)
-                for dtype, place in zip(layout.dtypes, layout.columns, strict=True)
-            ]
-        )
-
-
-def _las(path: Path) -> Iterator[Float64]:
-    laspy = import_laspy("reading .las and .laz files")
-    try:
-        with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
-            scales, offsets = reader.header.scales, reader.header.offsets
-            for part in reader.chunk_iterator(PART):
-                steps = np.column_stack([part.array[axis] for axis in "XYZ"])
-                yield steps * scales + offsets
-    except (MemoryError, GeneratorExit, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # many kinds come through where bytes are wrong
-        raise DatasetError(f"cannot decode the points: {one_line(error)}") from error
+        axes = [
+            column(part, dtype, count, place, layout.stride)
+            for dtype, place in zip(layout.dtypes, layout.columns, strict=True)
+        ]
+        yield _float64(np.column_stack(axes))
 
 
 def _e57(path: Path) -> Iterator[Float64]:

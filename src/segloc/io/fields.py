@@ -36,7 +36,7 @@ def one_line(error: object) -> str:
 
 @contextmanager
 def faults_of(where: object) -> Iterator[None]:
-    """Prefix DatasetErrors with the file's name; report lack of memory as one."""
+    """Prefix DatasetErrors with the file's name; report lack of memory and of access as one."""
     try:
         yield
     except DatasetError as error:
@@ -45,6 +45,8 @@ def faults_of(where: object) -> Iterator[None]:
         raise DatasetError(f"{where}: {error}") from error
     except MemoryError as error:
         raise DatasetError(f"{where}: not enough memory to read it") from error
+    except OSError as error:
+        raise DatasetError(f"{where}: cannot read: {error.strerror or error}") from error
 
 
 def parse_count(word: str, what: str) -> int:
@@ -60,7 +62,18 @@ def parse_count(word: str, what: str) -> int:
 def require_bytes(available: int, needed: int, what: str) -> None:
     """Reject a header whose declared size exceeds the data, before allocation."""
     if needed > available:
-        raise DatasetError(f"{what} need {needed} bytes, only {max(available, 0)} are left")
+        raise DatasetError(
+            f"{what} need {needed} bytes, only {max(available, 0)} are left: the file is cut off, "
+            "copy it again"
+        )
+
+
+def require_points(promised: int, found: int) -> None:
+    """Reject a file with fewer points than its header promises."""
+    if found < promised:
+        raise DatasetError(
+            f"the header promises {promised} points, the file has {found}: copy it again"
+        )
 
 
 def column(
@@ -114,5 +127,5 @@ class PointLayout:
     start: int  # offset of the points
     columns: tuple[int, ...]  # offsets of x, y and z in a point; in a text file their columns
     dtypes: tuple[np.dtype[Any], ...] = ()  # of x, y and z
-    stride: int = 0  # bytes per point
+    stride: int = 0  # bytes per point; in a text file numbers per row
     text: bool = False

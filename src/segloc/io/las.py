@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import io
+import mmap
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from ..errors import DatasetError, MissingDependency
 from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
-from .fields import one_line
+from .fields import one_line, require_points
+from .text import Mapped
 
 if TYPE_CHECKING:
     import laspy
@@ -24,31 +29,28 @@ _BYTE10, _BYTE14 = 0, 14  # items of variable size: extra bytes
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # per item; _BYTE14 has one per byte
 
 
-def check_chunks(data: bytes, points_start: int, points: int, record_size: int, vlr: bytes) -> None:
+def _check_chunks(data: Mapped, stream: BinaryIO, header: _Header, vlr: bytes) -> None:
     """Check the sizes in the chunk table and before each chunk against the file's length.
 
     data: the whole file
-    points_start: offset of the points, at most ``len(data)``
-    points: number declared in the header
-    record_size: bytes per point
+    stream: the same, to read from
     vlr: the record "laszip encoded", which defines the compression
 
     Raise DatasetError if they are inconsistent, or the compression is unknown.
     """
     compressor, items = _parse_vlr(vlr)
-    if any(size != _SIZES.get(kind, size) for kind, size in items) or record_size != sum(
+    if any(size != _SIZES.get(kind, size) for kind, size in items) or header.record_size != sum(
         size for _, size in items
     ):
         raise DatasetError("the size of compressed points differs from the header's")
-    chunks = _read_chunk_table(data, points_start, record_size, vlr)
-    if sum(count for count, _ in chunks) < points:
-        raise DatasetError(f"the compressed chunks hold fewer than {points} points")
+    chunks = _read_chunk_table(data, stream, header, vlr)
+    require_points(header.points, sum(count for count, _ in chunks))
     sizes = [size for _, size in chunks]
     if compressor == _LAYERED_CHUNKED:
-        starts = accumulate(sizes, initial=points_start + 8)
+        starts = accumulate(sizes, initial=header.points_start + 8)
         layers = sum(size if kind == _BYTE14 else _LAYERS.get(kind, 0) for kind, size in items)
         for start, size in zip(starts, sizes, strict=False):
-            _check_layers(data, start, size, record_size, layers)
+            _check_layers(data, start, size, header.record_size, layers)
 
 
 def _parse_vlr(vlr: bytes) -> tuple[int, list[tuple[int, int]]]:
@@ -67,30 +69,36 @@ def _parse_vlr(vlr: bytes) -> tuple[int, list[tuple[int, int]]]:
 
 
 def _read_chunk_table(
-    data: bytes, points_start: int, record_size: int, vlr: bytes
+    data: Mapped, stream: BinaryIO, header: _Header, vlr: bytes
 ) -> list[tuple[int, int]]:
     """Return the maximum number of points and the size of each chunk."""
     import lazrs
 
-    if points_start + 8 > len(data):
-        raise DatasetError("the compressed points are cut off")
-    table = struct.unpack_from("<q", data, points_start)[0]
+    start = header.points_start
+    if start + 8 > len(data):
+        raise _cut_off(header)
+    table = struct.unpack_from("<q", data, start)[0]
     if table == -1:  # written as a stream: the offset is at the end
         table = struct.unpack_from("<q", data, len(data) - 8)[0]
-    room = table - points_start - 8
+    room = table - start - 8
     if room < 0 or table + 8 > len(data):
-        raise DatasetError("the table of compressed chunks is cut off")
-    if struct.unpack_from("<I", data, table + 4)[0] * record_size > room:
+        raise _cut_off(header)
+    if struct.unpack_from("<I", data, table + 4)[0] * header.record_size > room:
         raise DatasetError("more compressed chunks declared than fit the file")
-    source = io.BytesIO(data)
-    source.seek(points_start)
-    chunks: list[tuple[int, int]] = lazrs.read_chunk_table(source, lazrs.LazVlr(vlr))
+    stream.seek(start)
+    chunks: list[tuple[int, int]] = lazrs.read_chunk_table(stream, lazrs.LazVlr(vlr))
     if sum(size for _, size in chunks) > room:
         raise DatasetError("the compressed chunks are larger than the file")
     return chunks
 
 
-def _check_layers(data: bytes, start: int, size: int, record_size: int, layers: int) -> None:
+def _cut_off(header: _Header) -> DatasetError:
+    return DatasetError(
+        f"the header promises {header.points} points, the file ends before the last: copy it again"
+    )
+
+
+def _check_layers(data: Mapped, start: int, size: int, record_size: int, layers: int) -> None:
     """Check a chunk: its first point, the number of points, the layers' sizes, the layers."""
     head = record_size + 4 + 4 * layers
     if (
@@ -127,18 +135,55 @@ def parse_las(data: bytes) -> Scan:
     if header.points == 0:
         return Scan(np.empty((0, 3), dtype=np.float32))
     check_points(header.points)
+    with _reading(data, io.BytesIO(data), header) as reader:
+        points, times = _read_points(reader, header.points)
+    return Scan(points, times=times)
+
+
+def las_parts(path: Path, size: int) -> Iterator[Float64]:
+    """Read the points of a file of any length, (N, 3) float64 in metres, ``size`` at a time.
+
+    Raise DatasetError where :func:`parse_las` does.
+    """
+    if not path.stat().st_size:  # cannot be mapped
+        raise DatasetError("not a LAS file")
+    with (
+        path.open("rb") as stream,
+        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
+        header = _parse_header(data)
+        if not header.points:
+            return
+        done = 0
+        with _reading(data, stream, header) as reader:
+            for chunk in reader.chunk_iterator(size):
+                done += len(chunk)
+                steps = np.column_stack([chunk.array[axis] for axis in "XYZ"])
+                yield steps * reader.header.scales + reader.header.offsets
+        require_points(header.points, done)
+
+
+@contextmanager
+def _reading(data: Mapped, stream: BinaryIO, header: _Header) -> Iterator[laspy.LasReader]:
+    """Open the points of a file whose header is checked; its compressed chunks are, too.
+
+    Faults of laspy and lazrs are DatasetErrors.
+    """
     laspy = import_laspy("reading .las and .laz files")
+    stream.seek(0)
     try:
         with (
             np.errstate(all="ignore"),
             laspy.open(
-                io.BytesIO(data), read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs
+                stream, read_evlrs=False, closefd=False, laz_backend=laspy.LazBackend.Lazrs
             ) as reader,
         ):
             if header.compressed:
                 vlr = reader.header.vlrs.get("LasZipVlr")[0].record_data
-                check_chunks(data, header.points_start, header.points, header.record_size, vlr)
-            points, times = _read_points(reader, header.points)
+                place = stream.tell()
+                _check_chunks(data, stream, header, vlr)
+                stream.seek(place)
+            yield reader
     except DatasetError:
         raise
     except BaseException as error:  # damaged bytes raise many kinds
@@ -146,8 +191,10 @@ def parse_las(data: bytes) -> Scan:
             raise
         if not (isinstance(error, Exception) or type(error).__name__ == _RUST_PANIC):
             raise
-        raise DatasetError(f"cannot decode the points: {one_line(error)}") from error
-    return Scan(points, times=times)
+        raise DatasetError(
+            f"cannot decode the {header.points} points that the header promises "
+            f"({one_line(error)}): copy the file again"
+        ) from error
 
 
 def import_laspy(purpose: str) -> Any:
@@ -160,7 +207,7 @@ def import_laspy(purpose: str) -> Any:
     return laspy
 
 
-def _parse_header(data: bytes) -> _Header:
+def _parse_header(data: Mapped) -> _Header:
     if len(data) < 227 or data[:4] != b"LASF":
         raise DatasetError("not a LAS file")
     minor = data[25]
@@ -179,14 +226,13 @@ def _parse_header(data: bytes) -> _Header:
 
 def _check_header(header: _Header, header_size: int, file_size: int) -> None:
     if not header_size + 54 * header.num_vlrs <= header.points_start <= file_size:
-        raise DatasetError("the header is cut off or corrupt")
+        raise DatasetError("the header is cut off or corrupt: copy the file again")
     if header.point_format >= len(_RECORD_SIZES):
         raise DatasetError(f"unknown point format {header.point_format}")
     if header.record_size < _RECORD_SIZES[header.point_format]:
         raise DatasetError(f"point records of {header.record_size} bytes are too short")
-    needed = header.points * header.record_size
-    if not header.compressed and needed > file_size - header.points_start:
-        raise DatasetError(f"{header.points} points need {needed} bytes: the file is cut off")
+    if not header.compressed:
+        require_points(header.points, (file_size - header.points_start) // header.record_size)
 
 
 def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 | None]:
@@ -203,8 +249,7 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
         if times is not None:
             times[rows] = chunk.array["gps_time"]
         done += len(chunk)
-    if done != count:
-        raise DatasetError(f"{count} points declared, {done} found")
+    require_points(count, done)
     # Most point formats have a time field even if the writer knew no time.
     return points, times if times is not None and times.any() else None
 

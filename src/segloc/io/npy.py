@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import DatasetError
 from ..system.budget import check_bytes, check_points, most_points
 from ..types import Float32, Float64, Scan
-from .fields import one_line
+from .fields import one_line, require_bytes
 
 _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(r"'descr': *'([<>|=][fiu]\d{1,2})'")
@@ -67,8 +67,9 @@ def _array_from(
     except (TypeError, ValueError) as error:
         raise DatasetError(f"bad header: {error}") from error
     needed = math.prod(sizes) * dtype.itemsize
+    require_bytes(len(data) - start, needed, f"values of shape {sizes}")
     if needed != len(data) - start:
-        raise DatasetError(f"shape {sizes} needs {needed} bytes, only {len(data) - start} are left")
+        raise DatasetError(f"shape {sizes} needs {needed} bytes, but {len(data) - start} are left")
     if not needed:
         if max(sizes, default=0) > most_points():
             raise DatasetError(f"impossible shape {sizes}")

@@ -97,7 +97,9 @@ def point_layout(head: bytes) -> PointLayout | None:
     """Return the layout of coordinates by a file's first bytes; None if compressed."""
     header = _parse_header(head)
     if header.encoding == "ascii":
-        return PointLayout(header.points, header.start, tuple(header.columns[:3]), text=True)
+        width = sum(field.count for field in header.fields)
+        columns = tuple(header.columns[:3])
+        return PointLayout(header.points, header.start, columns, stride=width, text=True)
     if header.encoding != "binary":
         return None
     dtypes, columns = zip(*header.places(header.wanted[:3]), strict=True)

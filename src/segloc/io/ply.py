@@ -86,7 +86,8 @@ def point_layout(head: bytes) -> PointLayout | None:
         return None
     wanted = wanted_columns(_single(vertex))[:3]
     if not order:
-        return PointLayout(vertex.count, start, tuple(wanted), text=True)
+        width = len(vertex.properties)
+        return PointLayout(vertex.count, start, tuple(wanted), stride=width, text=True)
     dtypes, columns = zip(*vertex.places(wanted, order), strict=True)
     return PointLayout(vertex.count, start, columns, dtypes, vertex.stride)
 

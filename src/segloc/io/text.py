@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import DatasetError
 from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
-from .fields import one_line, scan_from_columns, wanted_columns
+from .fields import one_line, require_points, scan_from_columns, wanted_columns
 
 Mapped = bytes | mmap.mmap
 
@@ -53,29 +53,32 @@ def parse_table(
     check_points(rows)
     found = _selected(_blocks(data), skipped, rows if more else None)
     table = _joined(_tables(found, columns, width, None))
-    if len(table) != rows:
+    if len(table) > rows:
         raise DatasetError(f"the header declares {rows} points, the file has {len(table)} rows")
+    require_points(rows, len(table))
     return table
 
 
-def table_parts(data: Mapped, start: int, columns: Sequence[int], rows: int) -> Iterator[Float64]:
+def table_parts(
+    data: Mapped, start: int, columns: Sequence[int], rows: int, width: int
+) -> Iterator[Float64]:
     """Read some columns of the first rows of a table between white space, part by part.
 
     data: the file
     start: where the table begins
     columns: which columns to parse
     rows: how many rows there should be
+    width: number of columns, checked on the last row
 
     Yield (N, len(columns)) float64.
 
     Raise DatasetError if a number cannot be parsed, or there are too few rows.
     """
     left = rows
-    for part in _tables(_selected(_blocks(data, (), start), 0, rows), columns, None, None):
+    for part in _tables(_selected(_blocks(data, (), start), 0, rows), columns, width, None):
         left -= len(part)
         yield part
-    if left:
-        raise DatasetError(f"the header says {rows} points, but there are {rows - left} rows")
+    require_points(rows, rows - left)
 
 
 def _blocks(data: Mapped, comments: tuple[str, ...] = (), start: int = 0) -> Iterator[list[str]]:
@@ -168,8 +171,6 @@ def _words(line: str, delimiter: str | None) -> list[str]:
 
 def parse_csv(data: bytes) -> Scan:
     """Columns named x, y, z in any order (and a time, if any); without names the first three."""
-    if not data or data.isspace():
-        raise DatasetError("empty file")
     return scan_from_columns(list(_joined(text_parts(data, ())).T))
 
 
@@ -181,10 +182,14 @@ def parse_txt(data: bytes) -> Scan:
 def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[Float64]:
     """Yield the columns x, y, z (and a time, if any) of a text file, (N, 3 or 4), part by part.
 
+    comments: marks of lines to skip; none in a table, which must not be empty
+
     Raise DatasetError if a number cannot be parsed, or a column is missing.
     """
     blocks = _blocks(data, comments)
     lines = next(filter(None, blocks), None)
+    if lines is None and not comments:
+        raise DatasetError("empty file")
     if lines is None:
         yield np.empty((0, 3))
         return
