@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -79,12 +80,15 @@ def messages(path: Path) -> list[tuple[str, str]]:
 
 
 def texts() -> Iterator[tuple[str, str]]:
-    """Those of all modules, and all pages line by line."""
+    """Those of all modules, all pages line by line, and cells of notebooks."""
     for path in SOURCES:
         yield from messages(path)
     for path in PAGES:
         for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
             yield f"{path.relative_to(PROJECT)}:{number}", line
+    for path in (PROJECT / "examples").glob("*.ipynb"):
+        for cell in json.loads(path.read_text("utf-8"))["cells"]:
+            yield str(path.relative_to(PROJECT)), "".join(cell["source"])
 
 
 def _words(text: str) -> list[str]:

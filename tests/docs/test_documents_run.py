@@ -45,7 +45,6 @@ NOT_RUN = {
     r"segloc train (extract|profile)": "minutes; at their smallest in lab/tests/cli/test_train.py",
     r"segloc simulate (building|industrial|forest)": "minutes; in lab/tests/cli/test_simulate.py",
     r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
-    r"segloc demo": "in tests/docs/test_pictures.py",
     r"segloc .*(--install-completion|--show-completion)": "changes the reader's shell",
     r"segloc .*--cluster": "needs a cluster; one is made in tests/map",
     r"segloc .*(gs://|s3://|https://)": "needs a bucket",
@@ -90,6 +89,8 @@ FEWER = (
 
 FINDS_FAULTS = re.compile(r"segloc doctor")
 """May end with 1: it reports faults."""
+
+_PICTURE = re.compile(r"`(\w+/\w+\.png)`")
 
 
 class Item(NamedTuple):
@@ -177,6 +178,8 @@ def test_the_code_of_a_page_runs(
         elif reason(each.text) is None:
             assert each.text.startswith(("segloc ", "SEGLOC_")), f"{each.place}: {each.text}"
             check(each, capsys, done)
+    for picture in _PICTURE.findall(path.read_text("utf-8")):
+        assert Path(picture).is_file(), f"{path}: its commands draw no {picture}"
 
 
 def check(each: Code, capsys: pytest.CaptureFixture[str], done: set[str]) -> None:

@@ -25,7 +25,7 @@ FAR_AWAY_M = 1e5
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")] = Path("demo"),
 ) -> None:
-    """Map the recorded sample, then localize a drive of another day, and one in another town.
+    """Map the simulated sample, then localize a drive of another day, and one in another town.
 
     The second drive goes in the opposite direction, past other parked cars, and partly off the map.
     """

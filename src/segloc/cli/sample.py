@@ -27,7 +27,7 @@ segloc view {out}/site.segmap {out}/results
 def sample(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")] = Path("sample"),
 ) -> None:
-    """Write a small recording to map, and scans to localize in it (no download).
+    """Write a small simulated recording to map, and scans to localize in it (no download).
 
     DIR/monday is a drive with an HDL-32E. DIR/tuesday has scans of another day by an OS1-64, in
     autumn, with other cars, partly off monday's route. DIR/elsewhere.npy is a scan of another town.

@@ -1,4 +1,4 @@
-"""A small recorded sample: two days of one town, and another town.
+"""A small simulated sample: two days of one town, and another town.
 
 Each drive is one ``.npz`` file beside this module; the README there describes the format. The
 drives are simulated, with range noise, lost and mixed returns. They are read with NumPy alone, and
@@ -30,7 +30,7 @@ FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class SampleDrive:
-    """A recorded drive of a spinning LiDAR: N scans of B beams and F firings."""
+    """A simulated drive of a spinning LiDAR: N scans of B beams and F firings."""
 
     name: str
     indices: Int64  # (N,)
