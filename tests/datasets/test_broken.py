@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from samples.datasets import START, Drive, kitti
+from samples.datasets import Drive, kitti
 
 from segloc import geometry
 from segloc.datasets import open_sequence
@@ -110,7 +110,7 @@ def test_point_clouds_of_any_layout(
     content = np.frombuffer(data, np.uint8) if data else np.empty(0, np.uint8)
     message = Message(height, width, step, stride, content, big, fields)
     try:
-        scan = to_scan(message, START)
+        scan = to_scan(message)
     except DatasetError as error:
         assert "\n" not in str(error)
     else:
@@ -120,15 +120,15 @@ def test_point_clouds_of_any_layout(
 def test_point_clouds_that_do_not_fit() -> None:
     data = np.zeros(4 * 16, np.uint8)
     with pytest.raises(DatasetError, match="1 x 5 points need 80 bytes, but there are 64"):
-        to_scan(Message(1, 5, 16, 80, data), 0.0)
+        to_scan(Message(1, 5, 16, 80, data))
     with pytest.raises(DatasetError, match="no field 'z'; fields: x, y"):
-        to_scan(Message(1, 4, 16, 64, data, fields=Message(0, 0, 0, 0, data).fields[:2]), 0.0)
+        to_scan(Message(1, 4, 16, 64, data, fields=Message(0, 0, 0, 0, data).fields[:2]))
     content = np.full((4, 4), np.nan, np.float32)
     fields = [PointField(name, 4 * k, 7) for k, name in enumerate([*"xyz", "time"])]
     message = Message(1, 4, 16, 64, content.view(np.uint8).ravel(), fields=fields)
-    assert to_scan(message, 0.0).dropped == 4  # not a number, and so are their times
+    assert to_scan(message).dropped == 4  # not a number, and so are their times
     with pytest.raises(DatasetError, match="field z lies outside the 8 bytes of a point"):
-        to_scan(Message(1, 4, 8, 32, data), 0.0)
+        to_scan(Message(1, 4, 8, 32, data))
 
 
 @given(st.binary(max_size=80), st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1))
@@ -258,4 +258,4 @@ def test_a_row_step_that_is_wrong_where_all_bytes_are_there(stride: int) -> None
     """Drivers leave it out, or give that of a point or of the whole cloud."""
     points = np.arange(36, dtype="<f4").reshape(9, 4)
     message = Message(3, 3, 16, stride, points.view(np.uint8).reshape(-1))
-    np.testing.assert_array_equal(to_scan(message, 0.0).points, points[:, :3])
+    np.testing.assert_array_equal(to_scan(message).points, points[:, :3])

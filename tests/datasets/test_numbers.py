@@ -9,10 +9,10 @@ import pytest
 from samples.datasets import START, Drive
 
 from segloc.datasets import open_sequence
-from segloc.datasets.clocks import time_unit
+from segloc.datasets.clocks import StreamTimes, time_unit
 from segloc.errors import DatasetError
 from segloc.io import write_scan
-from segloc.types import Float64
+from segloc.types import Float64, Scan
 
 COUNT = 6
 STEPS = 0.2 * np.arange(COUNT)
@@ -185,6 +185,97 @@ def test_bags_are_deskewed_whatever_the_unit(
     else:
         np.testing.assert_allclose(times, np.linspace(0, 0.1, len(times)), atol=1e-5)
         assert not np.allclose(sequence.scan(1).points, sequence.raw(1).points, atol=1e-3)
+
+
+FIELDS = {
+    "t": 1e-9, "offset_time": 1e-9, "time_offset_ns": 1e-9, "timeOffsetNs": 1e-9,
+    "point_time_offset": 1e-9, "time_us": 1e-6, "t_ms": 1e-3, "scalar_Time": 1e-9,
+}  # fmt: skip
+"""Units [s] of integers; a unit in the name holds for fractional types, too."""
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_bags_and_files_know_the_same_time_fields(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    (tmp_path / "scans").mkdir()
+    for i, stamp in enumerate(drive.stamps):
+        points = drive.seen(i)
+        ticks = np.rint(np.linspace(0.0, 0.1, len(points)) / FIELDS[name]).astype(np.uint32)
+        writer.cloud("/points", stamp, points, times=(name, "u4", ticks))
+        rows = np.zeros(len(points), [*((axis, "<f4") for axis in "xyz"), (name, "<u4")])
+        for k, axis in enumerate("xyz"):
+            rows[axis] = points[:, k]
+        rows[name] = ticks
+        header = (
+            f"FIELDS x y z {name}\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
+            f"WIDTH {len(rows)}\nHEIGHT 1\nDATA binary\n"
+        )
+        file = tmp_path / "scans" / f"{stamp + 1.7e9:.3f}.pcd"
+        file.write_bytes(header.encode() + rows.tobytes())
+    for path in (writer.write(tmp_path / "drive"), tmp_path / "scans"):
+        recording = open_sequence(path)
+        times = recording.raw(1).times
+        assert times is not None
+        np.testing.assert_allclose(times, np.linspace(0, 0.1, len(times)), atol=1e-3)
+        assert not recording.notes
+
+
+def test_a_field_that_looks_like_times_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    for i, stamp in enumerate(drive.stamps):
+        points = drive.seen(i)
+        writer.cloud("/points", stamp, points, times=("firing_time", "f4", points[:, 0]))
+        rows = "".join(f"{x} {y} {z} 0\n" for x, y, z in points)
+        (tmp_path / f"{stamp + 1.7e9:.3f}.txt").write_text(f"x y z firing_time\n{rows}")
+    for path in (writer.write(tmp_path / "drive"), tmp_path):
+        (note,) = open_sequence(path).notes
+        assert "'firing_time' may hold point times" in note
+
+
+STREAMS: dict[str, tuple[float, float, str]] = {
+    "seconds": (1.0, 0.0, ""),
+    "nanoseconds since 1970": (1e9, 1e9, ""),
+    "microseconds": (1e6, 0.0, "multiplied by 1e-06"),
+    "fractions": (10.0, 0.0, "fractions of a turn of 0.1 s"),
+    "another clock": (1.0, 1e-5, "another clock"),
+}
+"""Ticks a second, ticks a second of the stamp, and the note."""
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_times_of_a_stream_follow_the_rule_of_recordings(name: str) -> None:
+    scale, since, note = STREAMS[name]
+    stream, turn = StreamTimes(), np.linspace(0.0, 0.1, 50)
+    for k in range(6):
+        stamp = EPOCH + 0.1 * k
+        times = scale * turn + since * stamp
+        # Fields of messages are converted by their type first.
+        times = times * 1e-9 if since == 1e9 else times
+        scan = stream.apply(Scan(np.ones((50, 3)) + turn[:, None], times=times), stamp)
+        if name == "another clock" or (k < 2 and note):
+            assert scan.times is None
+        else:
+            assert scan.times is not None
+            np.testing.assert_allclose(scan.times, turn, atol=1e-5)
+    assert note in stream.note and bool(note) == bool(stream.note)
+
+
+def test_times_that_wrap_round_are_not_used() -> None:
+    """Nanoseconds since 1970 in 32 bits look like seconds after the stamp, at times."""
+    stream, turn = StreamTimes(), np.linspace(0.0, 0.1, 50)
+    kept = 0
+    for k in range(50):
+        stamp = 1.7e9 + 0.1 * k
+        times = np.mod(stamp + turn, 4.294967296)
+        scan = stream.apply(Scan(np.ones((50, 3)) + turn[:, None], times=times), stamp)
+        kept += scan.times is not None
+    assert kept <= 20 and "point times" in stream.note
 
 
 # --- bags -----------------------------------------------------------------------------------------

@@ -41,8 +41,8 @@ def headers(data: bytes, parse: object) -> None:
 
 
 READERS = (
-    lambda data: pointcloud2.to_scan(message(data, CLOUD, True), 1.0),
-    lambda data: pointcloud2.to_scan(message(data, CLOUD, False), 1.0),
+    lambda data: pointcloud2.to_scan(message(data, CLOUD, True)),
+    lambda data: pointcloud2.to_scan(message(data, CLOUD, False)),
     lambda data: bag_messages.sweep_scan(message(data, LASER, False)),
     lambda data: bag_messages.livox_scan(data, cdr=True),
     lambda data: bag_messages.livox_scan(data, cdr=False),

@@ -6,11 +6,13 @@ may also be fractions of a turn. The epoch and the spacing of the scans tell the
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..motion import times_fit
 from ..types import Float64, Scan
 
 _EPOCH_S = (1e9, 2.6e9)  # 2001 to 2052, seconds since 1970
@@ -23,6 +25,8 @@ _MIN_SHARE, _MIN_OTHER, _MAX_SHARE = 0.02, 0.1, 1.5
 """Span of a scan's point times as a share of the scan period."""
 _FRACTIONS = (0.9, 1.001)  # largest time of a scan, if times are fractions of a turn
 _SAME_CLOCK_S = 1.0
+_STREAM_SAMPLES, _MIN_STREAM_SAMPLES = 10, 3  # scans that tell the unit of a stream's point times
+_MAX_SAMPLE = 1024  # of a scan's times
 
 
 def epoch_unit(values: Float64) -> float | None:
@@ -89,11 +93,59 @@ def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) 
     if (factor := _since_1970(times, (1.0, *_FACTORS))) is not None:
         return _absolute(finite, factor, period_s)
     span = float(np.median([np.ptp(times) for times, _ in finite]))
-    if period_s is None or span == 0.0:
+    if span == 0.0:
         return TimeUnit()
-    if np.abs(times).max() > 10.0 * max(span, period_s, _SAME_CLOCK_S) and span <= _MAX_SHARE:
+    limit = max(_MAX_SHARE * span, _MAX_SHARE * (period_s or 0.0), _SAME_CLOCK_S)
+    if np.abs(times).max() > limit and span <= _MAX_SHARE:
         return _refused(f"point times of {times.max():g} s are on another clock than the stamps")
+    if period_s is None:
+        if _SWEEP_S[0] <= span <= _SWEEP_S[1]:
+            return TimeUnit()
+        return _refused(f"point times span {span:.4g} s as read, of a single scan: unit unknown")
     return _relative(float(times.min()), float(times.max()), span, period_s)
+
+
+class StreamTimes:
+    """Convert point times of scans that come one by one to seconds after their stamps.
+
+    The unit is recognised by the latest scans, as :func:`time_unit` does for a recording. Times
+    are dropped while it is unknown, and where they are far from the stamp.
+
+    Attributes
+    ----------
+    note : str
+        One line if times are converted or dropped; "" otherwise.
+    """
+
+    def __init__(self) -> None:
+        self.note = ""
+        self._samples: deque[tuple[Float64, float]] = deque(maxlen=_STREAM_SAMPLES)
+        self._unit: TimeUnit | None = None
+
+    def apply(self, scan: Scan, stamp: float) -> Scan:
+        """Convert the times of a scan, as read, or drop them; changes the scan."""
+        if scan.times is None or not len(scan.times):
+            return scan
+        unit = self._unit or self._recognised(scan.times, stamp)
+        scan = unit.apply(scan, stamp)
+        if scan.times is not None and not times_fit(scan):
+            off = float(np.abs(scan.times).max())
+            unit = _refused(f"point times are {off:.3g} s off their scans' stamps")
+            scan.times, self._unit = None, None
+        self.note = unit.note
+        return scan
+
+    def _recognised(self, times: Float64, stamp: float) -> TimeUnit:
+        """Return the unit by the latest scans; it is kept once it is known by enough of them."""
+        step = 1 + len(times) // _MAX_SAMPLE
+        ends = np.array([times.min(), times.max()])
+        self._samples.append((np.concatenate([times[::step], ends]), stamp))
+        enough = len(self._samples) >= _MIN_STREAM_SAMPLES
+        period_s = period_of(np.array([stamp for _, stamp in self._samples])) if enough else None
+        unit = time_unit(list(self._samples), period_s)
+        if enough and unit.known:
+            self._unit = unit
+        return unit if enough else replace(unit, note="")
 
 
 def _absolute(
@@ -106,7 +158,9 @@ def _absolute(
     off = max(float(np.abs(times * factor - stamp).max()) for times, stamp in samples)
     if off > max(_SAME_CLOCK_S, _MAX_SHARE * (period_s or 0.0)):
         return _refused(f"point times are {off:.3g} s off their scans' stamps")
-    note = "" if factor == 1.0 else f"point times multiplied by {factor:g}: seconds since 1970"
+    note = (
+        "" if factor in (1.0, 1e-9) else f"point times multiplied by {factor:g}: seconds since 1970"
+    )
     return TimeUnit(factor, since_1970=True, note=note)
 
 

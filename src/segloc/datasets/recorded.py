@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError, DatasetError, SeglocError
 from ..io.fields import faults_of
+from ..io.point_times import time_field, unread_times
 from ..io.scans import read_file, read_scan
 from ..motion import Motion, at_stamp
 from ..types import Float64, Int64, Pose, Recording, Scan, stamp_at
@@ -154,6 +155,8 @@ def _time_unit(found: Found, stamps: Float64 | None) -> TimeUnit | None:
     """Recognise the unit of point times from some scans; None if the format defines it."""
     if found.times_sure or stamps is None:
         return None
+    if (names := found.fields.split()) and time_field(names) is None:
+        return TimeUnit(note=unread_times(names))
     count = len(found.indices)
     samples = []
     for k in sorted({0, count // 2, count - 1}):

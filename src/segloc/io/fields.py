@@ -13,18 +13,16 @@ from numpy.typing import DTypeLike, NDArray
 from ..errors import DatasetError
 from ..system.budget import check_points
 from ..types import Scan
+from .point_times import time_field, time_scale, times_of
 
-TIME_NAMES = frozenset({"t", "time", "timestamp", "time_stamp"})
-"""Names of fields with point times."""
-
-_MAX_HEADER = 1 << 20
+MAX_HEADER_BYTES = 1 << 20
 _MAX_DIGITS = 18  # any such number fits an int64
 
 
 def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
     """Yield the words of each line and the start of the next line, up to 1 MiB."""
     start = 0
-    while (end := data.find(b"\n", start, _MAX_HEADER)) >= 0:
+    while (end := data.find(b"\n", start, MAX_HEADER_BYTES)) >= 0:
         yield data[start:end].decode("ascii", "replace").split(), end + 1
         start = end + 1
 
@@ -84,7 +82,7 @@ def column(
 
 
 def wanted_columns(names: Sequence[str]) -> list[int]:
-    """Return the positions of x, y and z, and of the first field with times, if any.
+    """Return the positions of x, y and z, and of the field with point times, if any.
 
     Upper-case names are used if there are no lower-case ones.
 
@@ -96,15 +94,18 @@ def wanted_columns(names: Sequence[str]) -> list[int]:
         if (found := names.count(name)) != 1:
             raise DatasetError(f"{found} fields named {axis}" if found else f"no field {axis}")
         chosen.append(names.index(name))
-    time = [position for position, name in enumerate(names) if name.lower() in TIME_NAMES]
-    return chosen + time[:1]
+    time = time_field(names)
+    return chosen if time is None else [*chosen, time]
 
 
-def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | None = None) -> Scan:
+def scan_from_columns(
+    columns: Sequence[NDArray[Any]], *, time_name: str = "", integer_times: bool | None = None
+) -> Scan:
     """Build a scan from columns x, y, z and optional point times.
 
     columns: 3 or 4 arrays (N,) of any number type
-    nanoseconds: True if times are nanoseconds; by default true for integer types
+    time_name: name of the field with times, which may tell their unit
+    integer_times: whether the file stores integers; by default by the column's type
     """
     check_points(len(columns[0]))
     points = np.empty((len(columns[0]), 3), dtype=np.float32)
@@ -113,10 +114,10 @@ def scan_from_columns(columns: Sequence[NDArray[Any]], *, nanoseconds: bool | No
             points[:, axis] = columns[axis]
         if len(columns) == 3:
             return Scan(points)
-        if nanoseconds is None:
-            nanoseconds = columns[3].dtype.kind in "iu"
-        times = np.asarray(columns[3], dtype=np.float64)
-        return Scan(points, times=times * 1e-9 if nanoseconds else times)
+        if integer_times is None:
+            integer_times = columns[3].dtype.kind in "iu"
+        scale = time_scale(time_name, integer=integer_times)
+        return Scan(points, times=times_of(columns[3], scale))
 
 
 @dataclass(frozen=True)

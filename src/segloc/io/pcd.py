@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,9 +76,11 @@ class _Header:
         sizes = [field.num_bytes for field in self.fields]
         return [(self.fields[k].dtype, sum(sizes[:k])) for k in wanted]
 
-    @property
-    def integer_times(self) -> bool:
-        return self.fields[self.wanted[-1]].kind.upper() in ("I", "U")
+    def scan(self, columns: Sequence[NDArray[Any]]) -> Scan:
+        """Build a scan from the wanted columns, whose types may be lost."""
+        last = self.fields[self.wanted[-1]]
+        is_integer = last.kind.upper() in ("I", "U")
+        return scan_from_columns(columns, time_name=last.name, integer_times=is_integer)
 
 
 def parse_pcd(data: bytes) -> Scan:
@@ -104,6 +107,11 @@ def point_layout(head: bytes) -> PointLayout | None:
         return None
     dtypes, columns = zip(*header.places(header.wanted[:3]), strict=True)
     return PointLayout(header.points, header.start, columns, dtypes, header.stride)
+
+
+def field_names(head: bytes) -> list[str]:
+    """Return the names of the fields of a point by a file's first bytes."""
+    return [field.name for field in _parse_header(head).fields]
 
 
 def _parse_header(data: bytes) -> _Header:
@@ -156,13 +164,13 @@ def _parse_ascii(data: bytes, header: _Header) -> Scan:
         width=sum(field.count for field in header.fields),
         rows=header.points,
     )
-    return scan_from_columns(list(table.T), nanoseconds=header.integer_times)
+    return header.scan(list(table.T))
 
 
 def _parse_binary(data: bytes, header: _Header) -> Scan:
     needed = header.points * header.stride
     require_bytes(len(data) - header.start, needed, f"{header.points} points")
-    return scan_from_columns(
+    return header.scan(
         [
             column(data, dtype, header.points, header.start + at, header.stride)
             for dtype, at in header.places(header.wanted)
@@ -173,7 +181,7 @@ def _parse_binary(data: bytes, header: _Header) -> Scan:
 def _parse_compressed(data: bytes, header: _Header) -> Scan:
     """Parse two sizes, then LZF over the fields, stored one after another."""
     content = _decompress(data, header.start, header.points * header.stride)
-    return scan_from_columns(
+    return header.scan(
         [
             column(content, dtype, header.points, header.points * at, dtype.itemsize)
             for dtype, at in header.places(header.wanted)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..system.budget import check_points
@@ -92,6 +93,13 @@ def point_layout(head: bytes) -> PointLayout | None:
     return PointLayout(vertex.count, start, columns, dtypes, vertex.stride)
 
 
+def field_names(head: bytes) -> list[str]:
+    """Return the names of the properties of a vertex by a file's first bytes."""
+    _, elements, _ = _parse_header(head)
+    vertices = (element for element in elements if element.name == "vertex")
+    return [prop.name for element in vertices for prop in element.properties]
+
+
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
     lines = header_lines(data)
     if next(lines, ([], 0))[0] != ["ply"]:
@@ -142,8 +150,14 @@ def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
         skipped=sum(element.count for element in before),
         more=True,
     )
-    integer_times = vertex.properties[columns[-1]].type[0] in "iu"
-    return scan_from_columns(list(table.T), nanoseconds=integer_times)
+    return _scan(list(table.T), vertex, columns)
+
+
+def _scan(columns: Sequence[NDArray[Any]], vertex: _Element, wanted: Sequence[int]) -> Scan:
+    """Build a scan from the wanted columns, whose types may be lost."""
+    last = vertex.properties[wanted[-1]]
+    is_integer = last.type[0] in "iu"
+    return scan_from_columns(columns, time_name=last.name, integer_times=is_integer)
 
 
 def _single(element: _Element) -> list[str]:
@@ -156,12 +170,11 @@ def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan
     if vertex.has_lists:
         return _parse_with_lists(data, start, vertex, order, wanted)
     require_bytes(len(data) - start, vertex.count * vertex.stride, f"{vertex.count} vertices")
-    return scan_from_columns(
-        [
-            column(data, dtype, vertex.count, start + at, vertex.stride)
-            for dtype, at in vertex.places(wanted, order)
-        ]
-    )
+    columns = [
+        column(data, dtype, vertex.count, start + at, vertex.stride)
+        for dtype, at in vertex.places(wanted, order)
+    ]
+    return _scan(columns, vertex, wanted)
 
 
 def _parse_with_lists(
@@ -182,7 +195,7 @@ def _parse_with_lists(
     for k, position in enumerate(wanted):
         dtype = np.dtype(order + properties[position].type)
         columns.append(content[at[:, k, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0])
-    return scan_from_columns(columns)
+    return _scan(columns, vertex, wanted)
 
 
 def _skip(data: bytes, start: int, element: _Element, order: str) -> int:

@@ -11,7 +11,8 @@ from ..errors import DatasetError
 from ..system.budget import check_bytes
 from ..system.files import replacing
 from ..types import Float32, Float64, Scan
-from .fields import faults_of
+from . import pcd, ply, text
+from .fields import MAX_HEADER_BYTES, faults_of
 from .kitti_bin import format_kitti, parse_kitti, parse_nuscenes
 from .las import format_laz, parse_las
 from .npy import format_npy, format_npz, parse_npy, parse_npz
@@ -49,6 +50,13 @@ _TIMED_FORMATTERS: dict[str, Callable[[Float32, Float64 | None], bytes]] = {
 }
 
 
+_NAMERS: dict[str, Callable[[bytes], list[str]]] = {
+    ".pcd": pcd.field_names,
+    ".ply": ply.field_names,
+    **dict.fromkeys((".csv", ".txt", ".xyz", ".pts", ".asc"), text.field_names),
+}
+
+
 def scan_suffix(path: Path) -> str | None:
     """Return the readable suffix of a file's name, in lower case, or None."""
     name = path.name.lower()
@@ -78,9 +86,10 @@ def read_scan(path: str | Path) -> Scan:
     .npy .npz      (N, >= 3); array ``points`` or the only one, optional ``times``
     ============== ==================================================================
 
-    Times come from a field named t, time, timestamp or time_stamp, or from LAS GPS times:
-    fractional types are in seconds, integers in nanoseconds. An empty file is a scan without
-    points if the format has no header (.bin, .txt and similar), and an error otherwise.
+    Times come from a field named t, time, timestamp, time_offset_ns and the like
+    (:mod:`segloc.io.point_times`), or from LAS GPS times: fractional types are in seconds, integers
+    in nanoseconds. An empty file is a scan without points if the format has no header (.bin, .txt
+    and similar), and an error otherwise.
 
     Raises
     ------
@@ -96,6 +105,21 @@ def read_scan(path: str | Path) -> Scan:
         raise DatasetError(f"{path}: unknown format; supported: {', '.join(_PARSERS)}")
     with faults_of(path):
         return _PARSERS[suffix](read_file(path))
+
+
+def field_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the fields of a file's points, by its header.
+
+    Empty if the format has no names, or the file cannot be read.
+    """
+    namer = _NAMERS.get(scan_suffix(path) or "")
+    if namer is None or not path.is_file():
+        return ()
+    try:
+        with path.open("rb") as file:
+            return tuple(name for name in namer(file.read(MAX_HEADER_BYTES)) if name)
+    except (DatasetError, OSError):
+        return ()  # reported when the scan is read
 
 
 def read_file(path: Path) -> bytes:

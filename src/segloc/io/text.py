@@ -14,6 +14,7 @@ from ..errors import DatasetError
 from ..system.budget import check_points
 from ..types import Float32, Float64, Scan
 from .fields import one_line, require_points, scan_from_columns, wanted_columns
+from .point_times import time_scale
 
 Mapped = bytes | mmap.mmap
 
@@ -193,10 +194,7 @@ def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[F
     if lines is None:
         yield np.empty((0, 3))
         return
-    if len(lines) > 1 and _is_count(lines[0]) and not _is_count(lines[1]):
-        del lines[0]
-    delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
-    first = [word.strip().strip("\"'").lower() for word in _words(lines[0], delimiter)]
+    first, delimiter = _first_row(lines)
     if all(_is_number(word) for word in first[:3]):
         if len(first) < 3:
             raise DatasetError(f"the first row has {len(first)} columns; x, y, z need 3")
@@ -204,7 +202,26 @@ def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[F
     else:
         columns = wanted_columns(first)
         del lines[0]
-    yield from _tables(chain([lines], blocks), columns, len(first), delimiter)
+    # Text has no types: without a unit in the name times are taken as seconds.
+    scale = time_scale(first[columns[-1]], integer=False)
+    for table in _tables(chain([lines], blocks), columns, len(first), delimiter):
+        table[:, 3:] *= scale
+        yield table
+
+
+def field_names(head: bytes) -> list[str]:
+    """Return the names of the columns by a file's first bytes; none without names."""
+    lines = next(filter(None, _blocks(head, COMMENTS)), None)
+    first = _first_row(lines)[0] if lines else []
+    return [] if any(_is_number(word) for word in first[:3]) else first
+
+
+def _first_row(lines: list[str]) -> tuple[list[str], str | None]:
+    """Return the words of the first row and the delimiter; drops a number of points before it."""
+    if len(lines) > 1 and _is_count(lines[0]) and not _is_count(lines[1]):
+        del lines[0]
+    delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
+    return [word.strip().strip("\"'").lower() for word in _words(lines[0], delimiter)], delimiter
 
 
 def _is_count(line: str) -> bool:

@@ -7,7 +7,7 @@ with :class:`segloc.live.LiveCore`, around which this is.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from segloc import Localizer, Prior, SeglocError, geometry
 from segloc.batch.run import gnss_priors
+from segloc.datasets.clocks import StreamTimes
 from segloc.datasets.fixes import Fixes
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.live import LidarOdometry, LiveCore, MountedScan, State, Status
@@ -54,6 +55,8 @@ class Robot:
         What the last cloud took, and its points, those of all LiDARs.
     keeper : PoseKeeper or None
         Keeps the pose over a power cycle.
+    point_times : dict of str to StreamTimes
+        Unit of the point times by topic; ``note`` tells what is converted or dropped.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -67,6 +70,7 @@ class Robot:
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._is_near_fix = False  # whether the last query was near it
         self._core: LiveCore | None = None
+        self.point_times: defaultdict[str, StreamTimes] = defaultdict(StreamTimes)
         self._own = {
             "map": "the map is being read",
             "points": f"no cloud yet: {settings.points_topic}",
@@ -143,9 +147,11 @@ class Robot:
             return []
         replies: list[Reply] = []
         try:
-            given = [MountedScan(stamp, to_scan(cloud, stamp), T_base_lidar)]
+            name = topic or self.settings.points_topic
+            scan = self.point_times[name].apply(to_scan(cloud), stamp)
+            given = [MountedScan(stamp, scan, T_base_lidar)]
             if self._merger is not None:
-                given = self._merger.add(topic or self.settings.points_topic, given[0])
+                given = self._merger.add(name, given[0])
                 if given and self._merger.missing:
                     self._own["points"] = f"no clouds of {', '.join(self._merger.missing)}"
             for each in given:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DatasetError
-from ...io.scans import scan_suffix, scan_suffixes
+from ...io.scans import field_names, scan_suffix, scan_suffixes
 from ...types import Float64, Int64
 from ..clocks import epoch_unit
 from ..recorded import FileSource, Found
@@ -56,7 +56,7 @@ def find(path: Path, poses: Path | None) -> Found:
         indices=indices,
         stamps=stamps,
         frame="as recorded",
-        fields="",
+        fields=" ".join(field_names(paths[0])),
         notes=tuple(notes),
         times_sure=False,
     )

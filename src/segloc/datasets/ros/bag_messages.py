@@ -98,16 +98,12 @@ def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str)
     message: Any = reader.deserialize(data, kind)
     if kind == _PACKETS:
         return _unpacked(message, stamp, where)
-    return sweep_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message, 0.0)
+    return sweep_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message)
 
 
-def defines_times(reader: AnyReader, topic: str, fields: str) -> bool:
-    """Return whether a topic's message type defines the unit of its point times.
-
-    fields: as :func:`fields_of` lists them
-    """
-    kinds = {item.msgtype for item in reader.connections if item.topic == topic}
-    return _CLOUD not in kinds or not set(pointcloud2.TIMES) & set(fields.split())
+def defines_times(reader: AnyReader, topic: str) -> bool:
+    """Return whether a topic's message type defines the unit of its point times."""
+    return all(item.msgtype != _CLOUD for item in reader.connections if item.topic == topic)
 
 
 def fields_of(reader: AnyReader, data: bytes, kind: str) -> str:

@@ -218,7 +218,7 @@ def find(path: Path, topic: str | None) -> Found:
             frame=headers.frames[0],
             fields=fields,
             notes=tuple(notes),
-            times_sure=defines_times(reader, chosen, fields),
+            times_sure=defines_times(reader, chosen),
         )
         return placed(found, reader, paths, headers.stamps, headers.logged)
 

@@ -1,7 +1,6 @@
 """Convert ROS's sensor_msgs/PointCloud2 to scans.
 
-Layout: docs.ros.org, sensor_msgs/PointCloud2 and PointField. Time fields of drivers: Ouster (t,
-ns), Velodyne (time, s), Hesai and RoboSense (timestamp, s since 1970) and Livox (offset_time, ns).
+Layout: docs.ros.org, sensor_msgs/PointCloud2 and PointField.
 """
 
 from __future__ import annotations
@@ -12,21 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DatasetError
+from ...io.point_times import time_field, time_scale, times_of
 from ...system.budget import check_points
 from ...types import Float64, Scan
 from ..layout import returned
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "timeOffset")
-"""Names of fields with point times, in order of precedence."""
-_EPOCH_S = 1e8  # larger times are seconds since 1970
 
 
-def to_scan(cloud: Any, stamp: float) -> Scan:
-    """Convert a message to points, with times after ``stamp``; drops missing returns.
+def to_scan(cloud: Any) -> Scan:
+    """Convert a message to points, with times in seconds as stored; drops missing returns.
+
+    :class:`~segloc.datasets.clocks.StreamTimes` or ``time_unit`` make them seconds after the stamp.
 
     cloud: sensor_msgs/PointCloud2
-    stamp: the message's own [s]
 
     Raise DatasetError if x, y or z is missing, or the message is shorter than its declared size.
     """
@@ -39,8 +37,7 @@ def to_scan(cloud: Any, stamp: float) -> Scan:
         raise DatasetError(
             f"no field {str(error).lower()}; fields: {', '.join(columns) or 'none'}"
         ) from error
-    times = _seconds(columns, stamp)
-    return returned(xyz, times)
+    return returned(xyz, _times(columns))
 
 
 def _columns(cloud: Any) -> dict[str, NDArray[Any]]:
@@ -76,15 +73,10 @@ def _columns(cloud: Any) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _seconds(columns: dict[str, NDArray[Any]], stamp: float) -> Float64 | None:
-    name = next((name for name in TIMES if name in columns), None)
-    if name is None:
+def _times(columns: dict[str, NDArray[Any]]) -> Float64 | None:
+    names = list(columns)
+    if (position := time_field(names)) is None:
         return None
-    raw = columns[name]
-    times = raw.astype(np.float64)
-    latest = times[np.isfinite(times)].max(initial=0.0)
-    if raw.dtype.kind in "iu" or latest > _EPOCH_S * 1e6:
-        times, latest = times * 1e-9, latest * 1e-9
-    if latest > _EPOCH_S:
-        times -= stamp
-    return times
+    name = names[position]
+    values = columns[name]
+    return times_of(values, time_scale(name, integer=values.dtype.kind in "iu"))
