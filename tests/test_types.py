@@ -127,7 +127,7 @@ def test_exact_surfaces_are_no_missing_returns() -> None:
         np.zeros((4, 3), dtype=complex),
         np.zeros((4, 3), dtype=object),
         np.array([["1", "2", "3"]]),
-        np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")]),
+        np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("h", "f4")]),
         None,
         "points",
         [],
@@ -143,7 +143,7 @@ def test_what_is_no_cloud(points: Any) -> None:
     assert isinstance(caught.value, ValueError)
 
 
-@pytest.mark.parametrize("times", [np.zeros(3), np.zeros((4, 1)), 0.0, ["a"] * 4, [[1], [2, 3]]])
+@pytest.mark.parametrize("times", [np.zeros(3), np.zeros((4, 2)), 0.0, ["a"] * 4, [[1], [2, 3]]])
 def test_times_must_fit(times: Any) -> None:
     with pytest.raises(InvalidScan, match=r"^times must "):
         Scan(np.zeros((4, 3)), times=times)

@@ -27,9 +27,10 @@ class Scan:
 
     Parameters
     ----------
-    points : (N, >=3) array of any float dtype, any stride
-        x, y, z in metres in the sensor frame. Further columns are ignored. Never modified.
-    times : (N,) array, optional
+    points : (N, >=3) or (H, W, >=3) array of any float dtype, any stride
+        x, y, z in metres in the sensor frame; or a structured array with fields x, y and z.
+        Further columns and fields are ignored. Never modified.
+    times : (N,) or (H, W) array, optional
         Time of each point in seconds.
     stamp : float, optional
         Time of the scan in seconds.
@@ -216,7 +217,7 @@ def _listed(scans: Iterable[Any], name: str) -> list[Any]:
             f"scans must be a recording, or a list of Scan or of (N, 3) arrays, not "
             f"{type(scans).__name__}: see segloc.MemoryRecording, or segloc.open_sequence of a path"
         )
-    if isinstance(scans, np.ndarray) and scans.ndim == 2:
+    if isinstance(scans, np.ndarray) and (scans.ndim == 2 or scans.dtype.names):
         raise InvalidScan(
             f"scans must be a list of clouds, not one of shape {scans.shape}: [points]"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from segloc import (
     Localizer,
     Scan,
     SeglocError,
+    SegmentMap,
     Tracker,
     build_map,
     geometry,
@@ -45,8 +47,73 @@ def points(plaza: Plaza) -> np.ndarray:
 def test_an_array_is_a_scan(localizer: Localizer, points: np.ndarray) -> None:
     expected = localizer.localize(Scan(points))
     assert expected.localized
-    for same in (points, points.astype(np.float64), np.asfortranarray(points)):
+    fields = np.zeros(
+        len(points), [("t", "<u4"), *((axis, "<f4") for axis in "xyz"), ("ring", "u1")]
+    )
+    for axis, values in zip("xyz", points.T, strict=True):
+        fields[axis] = values
+    organised = np.full((3, len(points), 4), np.nan)
+    organised[1, :, :3] = points
+    for same in (
+        points, points.astype(np.float64), np.asfortranarray(points), memoryview(points), fields,
+        fields.view(np.recarray), np.stack([fields, np.zeros_like(fields)]), organised,
+    ):  # fmt: skip
         np.testing.assert_array_equal(localizer.localize(same).T_map_sensor, expected.T_map_sensor)
+    masked = np.ma.masked_array(np.vstack([points, points + 50]))
+    masked[len(points) :] = np.ma.masked
+    assert len(Scan(masked)) == len(points)
+    times = np.tile(np.arange(len(points)), (3, 1))
+    np.testing.assert_array_equal(Scan(organised, times=times).times, times[1])
+
+
+class Held:
+    """Points as other libraries hold them."""
+
+    def __init__(self, **attributes: Any) -> None:
+        self.__dict__ |= attributes
+
+
+class OnGraph:
+    """A tensor that would have to be detached."""
+
+    __module__ = "torch"
+
+    def __array__(self, *_: Any) -> np.ndarray:
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad")
+
+
+XYZW = np.array([[0.0, 1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda p: Scan(Held(points=p)), r"np\.asarray\(points\.points\)"),
+        (lambda p: Scan(None), "not NoneType"),
+        (lambda p: Scan(OnGraph()), r"points\.detach\(\)\.cpu\(\)\.numpy\(\)"),
+        (lambda p: Scan(Path("scan.pcd")), r"segloc\.io\.read_scan\(path\)\.points"),
+        (lambda p: Scan(Held(point_step=16)), r"read_points\(points\)"),
+        (lambda p: Scan(p.tobytes()), r"np\.frombuffer"),
+        (lambda p: Scan(np.zeros((3, 64, 128))), r"np\.moveaxis\(points, 0, -1\)"),
+        (lambda p: Scan(p.view([("a", "f4"), ("b", "f4"), ("c", "f4")])), "no field x"),
+        (lambda p: Scan(p, T_odom_sensor=XYZW[0]), r"Rotation\.from_quat"),
+        (lambda p: SegmentMap.from_scans([p], "poses.tum"), r"read_trajectory\(path\)\.poses"),
+        (lambda p: SegmentMap.from_scans([p], XYZW), r"read_trajectory\(path\)\.poses"),
+        (lambda p: SegmentMap.from_scans([p], Held(poses=XYZW)), r"np\.asarray\(poses\.poses\)"),
+        (lambda p: SegmentMap.from_scans([p], np.eye(4)), r"poses\[None\]"),
+        (lambda p: SegmentMap.from_scans([p], np.eye(4)[None, :3]), "append the row 0 0 0 1"),
+        (lambda p: SegmentMap.from_scans([p], np.eye(4).reshape(1, 16)), r"reshape\(-1, 4, 4\)"),
+        (lambda p: SegmentMap.from_scans("folder"), r"segloc\.open_sequence"),
+        (lambda p: SegmentMap.from_cloud("map.pcd"), r"segloc\.io\.clouds\.read_cloud\(path\)"),
+        (lambda p: SegmentMap.from_cloud(Held(points=p)), r"np\.asarray\(cloud\.points\)"),
+    ],
+)
+def test_an_error_names_the_line_to_write(
+    points: np.ndarray, call: Callable[[np.ndarray], Any], line: str
+) -> None:
+    with pytest.raises(InvalidScan, match=line) as caught:
+        call(points)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -148,14 +148,8 @@ def listed(scans: Scans) -> Sequence[Scan]:
     """
     if isinstance(scans, Scan):
         return [scans]
-    if isinstance(scans, np.ndarray):
-        return [Scan(scans)]
     if not isinstance(scans, (list, tuple)):
-        kind = type(scans).__name__
-        raise InvalidScan(
-            f"scans must be a Scan, an (N, 3) array or a list of Scan, not {kind}: "
-            "make a list of a generator, and a Scan of points"
-        )
+        return [Scan(scans)]  # whatever may be points
     if not scans:
         raise InvalidScan("no scan given")
     for i, scan in enumerate(scans):

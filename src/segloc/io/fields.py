@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..errors import DatasetError
+from ..errors import DatasetError, InvalidScan
 from ..system.budget import check_points
+from ..system.checks import axis_fields
 from ..types import Scan
 from .point_times import time_field, time_scale, times_of
 
@@ -88,12 +89,10 @@ def wanted_columns(names: Sequence[str]) -> list[int]:
 
     Raise DatasetError if x, y or z is missing or duplicated.
     """
-    chosen = []
-    for axis in "xyz":
-        name = axis if axis in names else axis.upper()
-        if (found := names.count(name)) != 1:
-            raise DatasetError(f"{found} fields named {axis}" if found else f"no field {axis}")
-        chosen.append(names.index(name))
+    try:
+        chosen = axis_fields(names)
+    except InvalidScan as error:
+        raise DatasetError(str(error)) from error
     time = time_field(names)
     return chosen if time is None else [*chosen, time]
 

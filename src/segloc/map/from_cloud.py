@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _native, geometry
 from ..descriptors import create
-from ..errors import DatasetError, InvalidScan
+from ..errors import DatasetError
 from ..frontend.segmentation import Segmenter, heights_above_ground
 from ..frontend.tilt import frame_tilt
-from ..system.checks import checked_poses
+from ..system.checks import checked_poses, point_rows
 from ..types import Float32, Float64, LocalCloud, MemoryRecording
 from .build import View, add_view, empty_map, tilt_text
 from .compact import compacted
@@ -70,10 +70,7 @@ class ThinCloud:
         InvalidScan
             If they are something else.
         """
-        if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] < 3:
-            raise InvalidScan("a cloud must be an array of (N, >=3) points, or arrays of them")
-        if points.dtype.kind != "f":
-            raise InvalidScan(f"the points of a cloud must be floating point, not {points.dtype}")
+        points = point_rows(points, "cloud")
         points = points[:, :3][np.isfinite(points[:, :3]).all(axis=1)]
         if not len(points):
             return
@@ -113,7 +110,8 @@ class ThinCloud:
             If they are something else.
         """
         cloud = cls()
-        for part in [points] if isinstance(points, np.ndarray) else points:
+        parts = isinstance(points, Iterable) and not hasattr(points, "__array__")
+        for part in points if parts and not isinstance(points, str) else [points]:
             cloud.add(part)
         cloud.thin()
         if not len(cloud):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,11 +30,66 @@ ROTATION_TOLERANCE = 1e-3
 _MAX_ROW = 64  # (3, N) instead of (N, 3)
 
 
+_READERS = {
+    "points": "segloc.io.read_scan(path).points",
+    "cloud": "segloc.io.clouds.read_cloud(path)",
+    "poses": "segloc.io.read_trajectory(path).poses",
+    "trajectory": "segloc.io.read_trajectory(path).poses",
+}
+"""What reads a file, by the name of the argument."""
+_ATTRIBUTES = ("xyz", "points", "vertices", "poses")
+"""Of objects of other libraries that hold the array (laspy, Open3D, PyVista, trimesh)."""
+
+
 def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
-    try:
-        return np.asarray(values, dtype=dtype)
-    except (TypeError, ValueError) as error:
-        raise InvalidScan(f"{name} must be an array of numbers") from error
+    """Return numbers as an array; anything else is refused with the line that makes one of it."""
+    fault: Exception | None = None
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.kind == "f":
+        values = values.filled(np.nan)
+    if not (values is None or isinstance(values, (str, bytes, os.PathLike, Iterator))):
+        try:
+            array = np.asarray(values, dtype=dtype)
+            if array.ndim or array.dtype.kind != "O":
+                return array
+        except Exception as error:  # of other libraries, any kind
+            fault = error
+    line = _line_for(values, name)
+    raise InvalidScan(
+        f"{name} must be an array of numbers, not {type(values).__name__}{line and f': {line}'}"
+    ) from fault
+
+
+def _line_for(values: Any, name: str) -> str:
+    """Return what makes an array of a value; "" if unknown."""
+    module = type(values).__module__
+    if isinstance(values, (str, os.PathLike)):
+        return f"pass {_READERS[name]}" if name in _READERS else ""
+    if isinstance(values, bytes):
+        return "pass np.frombuffer(data, np.float32).reshape(-1, 3), or the width of a row"
+    if isinstance(values, Iterator):
+        return "make a list of it"
+    if module.startswith("torch"):
+        return f"pass {name}.detach().cpu().numpy()"
+    if module.startswith("open3d") and hasattr(values, "point"):
+        return f"pass {name}.point.positions.numpy()"
+    if hasattr(values, "point_step"):
+        return f"pass sensor_msgs_py.point_cloud2.read_points({name})"
+    held = next((each for each in _ATTRIBUTES if hasattr(values, each)), None)
+    return f"pass np.asarray({name}.{held})" if held else ""
+
+
+def axis_fields(names: Sequence[str]) -> list[int]:
+    """Return the positions of the fields x, y and z, in upper case if not in lower.
+
+    Raise InvalidScan if one is missing or occurs twice.
+    """
+    chosen = []
+    for axis in "xyz":
+        name = axis if axis in names else axis.upper()
+        if (found := names.count(name)) != 1:
+            raise InvalidScan(f"{found} fields named {axis}" if found else f"no field {axis}")
+        chosen.append(names.index(name))
+    return chosen
 
 
 def _number(value: float, name: str, unit: str) -> float:
@@ -42,19 +99,38 @@ def _number(value: float, name: str, unit: str) -> float:
         raise InvalidScan(f"{name} must be a number of {unit}, not {value!r:.60}") from error
 
 
-def checked_points(points: ArrayLike) -> Float32:
-    """Return x, y, z of ``points`` as (N, 3) float32, C-contiguous; may be infinite or NaN."""
-    array = as_array(points, "points")
-    if array.ndim != 2 or array.shape[1] < 3:
-        raise InvalidScan(f"points must have shape (N, 3) or wider, not {array.shape}")
-    if array.shape[0] == 3 and array.shape[1] > _MAX_ROW:
-        raise InvalidScan(f"points must have shape (N, 3), not {array.shape}: transpose them")
-    if not np.issubdtype(array.dtype, np.floating):
+def point_rows(points: ArrayLike, name: str = "points") -> NDArray[np.floating[Any]]:
+    """Return points as rows (N, >=3) of their own floating point type, not copied if possible.
+
+    What may be points is decided here: an array (N, >=3), an organised one (H, W, >=3), or a
+    structured one of any shape with fields x, y and z, whose other fields are left out.
+    """
+    array = as_array(points, name)
+    if (names := array.dtype.names) is not None:
+        try:
+            array = np.stack([array[names[k]] for k in axis_fields(names)], axis=-1)
+        except InvalidScan as error:
+            raise InvalidScan(
+                f"{name} must have the fields x, y and z, not {', '.join(names)}: {error}"
+            ) from error
+    shape = array.shape
+    if len(shape) not in (2, 3) or shape[-1] < 3:
+        raise InvalidScan(f"{name} must have shape (N, 3) or wider, or (H, W, 3), not {shape}")
+    if shape[0] == 3 and shape[-1] > _MAX_ROW:
+        how = "transpose it" if len(shape) == 2 else f"np.moveaxis({name}, 0, -1)"
+        raise InvalidScan(f"{name} must have shape (N, 3), not {shape}: {how}")
+    if array.dtype.kind != "f":
         raise InvalidScan(
-            f"points must be floating point and in metres, not {array.dtype}: convert them"
+            f"{name} must be floating point and in metres, not {array.dtype}: convert it"
         )
+    return array.reshape(-1, shape[-1])
+
+
+def checked_points(points: ArrayLike) -> Float32:
+    """Return x, y, z of :func:`point_rows` as (N, 3) float32, C-contiguous; may be NaN."""
+    rows = point_rows(points)
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32: inf
-        return np.ascontiguousarray(array[:, :3], dtype=np.float32)
+        return np.ascontiguousarray(rows[:, :3], dtype=np.float32)
 
 
 def checked_local_points(points: ArrayLike) -> Float32:
@@ -117,6 +193,8 @@ def checked_times(times: ArrayLike | None, count: int) -> Float64 | None:
     if times is None:
         return None
     array: Float64 = as_array(times, "times", np.float64)
+    if array.ndim == 2 and array.size == count:  # of organised points
+        array = array.reshape(-1)
     if array.shape != (count,):
         raise InvalidScan(f"times must have shape ({count},), not {array.shape}")
     return array
@@ -160,7 +238,8 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
     """Return a copy of ``pose`` as a (4, 4) float64 rigid transform within ``MAX_METRES``."""
     T: Pose = as_array(pose, name, np.float64).copy()
     if T.shape != (4, 4):
-        raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}")
+        line = _FROM_QUATERNION if T.shape in ((7,), (8,)) else ""
+        raise InvalidScan(f"{name} must have shape (4, 4), not {T.shape}{line}")
     R = T[:3, :3]
     if not np.isfinite(T).all():
         raise InvalidScan(f"{name} has values that are not finite")
@@ -172,6 +251,12 @@ def checked_pose(pose: ArrayLike, name: str) -> Pose:
         last = " ".join(f"{value:g}" for value in T[3])
         raise InvalidScan(f"{name} must end with the row 0 0 0 1, not {last}: transpose it?")
     return T
+
+
+_FROM_QUATERNION = (
+    ": T = np.eye(4), T[:3, 3] = xyz, "
+    "T[:3, :3] = scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix()"
+)
 
 
 def _rotation_fault(R: Float64) -> str:
@@ -187,10 +272,24 @@ def checked_poses(poses: ArrayLike, count: int, name: str) -> Float64:
     """Return a copy of ``poses`` as (count, 4, 4) float64 rigid transforms."""
     array: Float64 = as_array(poses, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
-        raise InvalidScan(f"{name} must have shape ({count}, 4, 4), not {array.shape}")
+        raise InvalidScan(
+            f"{name} must have shape ({count}, 4, 4), not {array.shape}{_poses_line(array)}"
+        )
     if len(array) != count:
         raise InvalidScan(f"{name}: {len(array)} for {count} scans: pass one (4, 4) pose per scan")
     return np.array([checked_pose(T, f"{name}[{i}]") for i, T in enumerate(array)])
+
+
+def _poses_line(array: Float64) -> str:
+    """Return what makes poses (K, 4, 4) of an array of another shape; "" if unknown."""
+    lines = {
+        (4, 4): ": one pose is poses[None]",
+        (3, 4): ": append the row 0 0 0 1 to each",
+        (16,): ": poses.reshape(-1, 4, 4)",
+    }
+    rows = ": rows of a file are read by segloc.io.read_trajectory(path).poses"
+    lines |= dict.fromkeys(((7,), (8,), (12,), (13,)), rows)
+    return lines.get(array.shape if array.shape == (4, 4) else array.shape[1:], "")
 
 
 def pose_if_given(pose: ArrayLike | None, name: str) -> Pose | None:
