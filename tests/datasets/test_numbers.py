@@ -90,6 +90,23 @@ def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) 
             open_sequence(scans, poses)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("whole", [True, False])
+def test_poses_by_time_since_the_start_beside_numbered_scans(
+    scale: float, whole: bool, tmp_path: Path
+) -> None:
+    """The spacing and the speed tell the unit, and that whole times are no numbers of scans."""
+    scans = folder(tmp_path / "run", [f"{k:04}" for k in range(COUNT)])
+    stamps = [5.0 + 3.0 * k if scale == 1.0 and whole else scale * 0.2 * k for k in range(COUNT)]
+    stamps = [round(t) if whole else t + 0.05 * scale for t in stamps]
+    poses = tmp_path / "odometry.tum"
+    poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(stamps)))
+    sequence = open_sequence(scans, poses)
+    assert sequence.poses[:, 0, 3].tolist() == list(range(COUNT))
+    step = 3.0 if scale == 1.0 and whole else 0.2
+    np.testing.assert_allclose(np.diff(sequence.stamps), step, atol=1e-3)
+
+
 def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     scans = tmp_path / "run"
     scans.mkdir()

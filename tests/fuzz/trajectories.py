@@ -7,7 +7,7 @@ from common import Bench, fuzz, instrumented
 with instrumented:
     from segloc.datasets import tracks
     from segloc.datasets.loaders import boreas, helipr, mulran, nclt, newer_college, robotcar
-    from segloc.io.trajectory import read_trajectory
+    from segloc.io.pose_files import read_trajectory
 import numpy as np
 
 poses, tables = Bench("trajectory"), Bench("table")

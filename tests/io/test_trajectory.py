@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from samples.io import pcd
 from scipy.spatial.transform import Rotation
 
 from segloc.errors import DatasetError, SeglocError
@@ -218,7 +220,92 @@ def test_tables_of_poses_are_read_by_their_names(name: str, tmp_path: Path) -> N
     np.testing.assert_allclose(quaternion * np.sign(quaternion[3]), ROW[4:], atol=1e-9)
 
 
-def test_a_header_without_all_columns_is_named(tmp_path: Path) -> None:
-    (tmp_path / "poses.csv").write_text("time,x,y,yaw\n0,1,2,3\n")
-    with pytest.raises(DatasetError, match="line 1: header without columns for time, x"):
-        read_trajectory(tmp_path / "poses.csv")
+FORMS = (
+    "12", "13", "16", "16 by column", "17", "7", "radians", "degrees", "degrees by value",
+    "no time", "decimal commas", "g2o", "g2o numbers", "pcd", "npy", "npy 3x4",
+)  # fmt: skip
+
+
+def written(form: str, trajectory: Trajectory) -> bytes:
+    """A file of poses as trackers, loggers and SLAM write it."""
+    stamps, T = trajectory.stamps, trajectory.poses
+    turns = Rotation.from_matrix(T[:, :3, :3].copy())
+    xyz, q, rpy = T[:, :3, 3], turns.as_quat(), turns.as_euler("xyz")
+    if form.startswith("npy"):
+        buffer = io.BytesIO()
+        np.save(buffer, T[:, :3] if "3x4" in form else T)
+        return buffer.getvalue()
+    if form == "pcd":  # LIO-SAM's transformations.pcd
+        names = ("x", "y", "z", "intensity", "roll", "pitch", "yaw")
+        rows = np.zeros(len(T), [(name, "<f4") for name in names] + [("time", "<f8")])
+        for name, values in zip(
+            (*"xyz", *names[4:], "time"), [*xyz.T, *rpy.T, stamps], strict=True
+        ):
+            rows[name] = values
+        return pcd(rows, "binary")
+    if form.startswith("g2o"):
+        first, step = (7, 3) if "numbers" in form else (0, 1)
+        lines = [
+            f"VERTEX_SE3:QUAT {first + step * k} " + " ".join(map(repr, [*map(float, row)]))
+            for k, row in enumerate(np.hstack([xyz, q]))
+        ]
+        return "\n".join(["FIX 0", *reversed(lines), "EDGE_SE3:QUAT 0 1 0 0 0"]).encode()
+    header, columns = {
+        "12": ("", [T[:, :3].reshape(-1, 12)]),
+        "13": ("", [stamps, T[:, :3].reshape(-1, 12)]),
+        "16": ("", [T.reshape(-1, 16)]),
+        "16 by column": ("", [T.transpose(0, 2, 1).reshape(-1, 16)]),
+        "17": ("", [stamps, T.reshape(-1, 16)]),
+        "7": ("", [xyz, q]),
+        "radians": ("time,x,y,z,roll [rad],pitch,yaw", [stamps, xyz, rpy]),
+        "degrees": ("time,x,y,z,roll_deg,pitch_deg,yaw_deg", [stamps, xyz, np.degrees(rpy)]),
+        "degrees by value": ("time,x,y,z,roll,pitch,yaw", [stamps, xyz, np.degrees(rpy)]),
+        "no time": ("x,y,z,qx,qy,qz,qw", [xyz, q]),
+        "decimal commas": ("", [stamps, xyz, q]),
+    }[form]
+    rows = ["".join([header, "\n"] if header else [])]
+    for row in np.column_stack(columns):
+        words = [f"{value:.12f}" for value in row]
+        if form == "decimal commas":
+            words = [word.replace(".", ",") for word in words]
+        rows.append(("," if header else " ").join(words) + "\n")
+    return "".join(rows).encode()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_poses_in_the_forms_that_programs_write(form: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    poses[:, :3, :3] = Rotation.random(6, rng).as_matrix()
+    poses[:, :3, 3] = rng.uniform(-90, 90, (6, 3))
+    trajectory = Trajectory(1.6e9 + 0.1 * np.arange(6), poses)
+    (tmp_path / "poses").write_bytes(written(form, trajectory))
+    found = read_trajectory(tmp_path / "poses")
+    timed = form in ("13", "17", "radians", "pcd", "decimal commas") or "degrees" in form
+    expected = trajectory.stamps if timed else 7 + 3 * np.arange(6)
+    expected = expected if timed or "numbers" in form else np.arange(6)
+    np.testing.assert_allclose(found.stamps, expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found.poses, poses, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("time,x,y,yaw\n0,1,2,3\n", "line 1: header without columns for time, x"),
+        ("time,lat,lon,alt\n0,48,8,3\n", "it names time, lat, lon, alt"),
+        ("\tTX\tTY\tTZ\tRX\tRY\tRZ\n0\t1\t2\t3\t0\t0\t0\n", "name Euler angles roll, pitch, yaw"),
+        ("0 1 2 3 0 0 0.1\n", "Euler angles need a first line: time x y z roll pitch yaw"),
+        ("1 2 3 0 0 0.1\n", "line 1: 6 columns, .* first line: x y z roll pitch yaw"),
+        ("0 1 2 3\n", "positions without rotations"),
+        ('{"frames": []}', "JSON, not a table of poses"),
+        ("VERTEX_XY 0 1 2\n", "a g2o file without VERTEX_SE3"),
+        ("VERTEX_SE3:QUAT 0 1 2\n", "line 1: not a vertex"),
+        ("1 0 0 5 0 1 0 6 0 0 1 7 0 0 0 2\n", "line 1: not a rigid transform"),
+        (pcd(np.zeros(2, [(a, "<f4") for a in "xyz"]), "ascii").decode(), "transformations.pcd"),
+    ],
+)
+def test_poses_that_columns_do_not_tell_are_refused(text: str, fault: str, tmp_path: Path) -> None:
+    (tmp_path / "poses").write_text(text)
+    with pytest.raises(DatasetError, match=fault) as caught:
+        read_trajectory(tmp_path / "poses")
+    assert "\n" not in str(caught.value)

@@ -21,6 +21,8 @@ _FACTORS = (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9)
 _SWEEP_S = (0.01, 0.25)
 """Durations of a scan at common rates, 4 to 100 Hz."""
 _USUAL_S = 0.2
+_PERIOD_S, _MAX_SPEED_MPS = (0.01, 10.0), 60.0
+"""Times between recorded scans, and the speed of a vehicle."""
 _MIN_SHARE, _MIN_OTHER, _MAX_SHARE = 0.02, 0.1, 1.5
 """Span of a scan's point times as a share of the scan period."""
 _FRACTIONS = (0.9, 1.001)  # largest time of a scan, if times are fractions of a turn
@@ -47,6 +49,21 @@ def unit_beside(values: Float64, stamps: Float64) -> float | None:
     for unit in _UNITS:
         low, high = values[0] * unit, values[-1] * unit
         if ((stamps >= low) & (stamps <= high)).any():
+            return unit
+    return None
+
+
+def unit_by_spacing(values: Float64, poses: Float64) -> float | None:
+    """Return the unit [s] in which rising times (K,) of poses (K, 4, 4) suit scans, or None.
+
+    Scans are ``_PERIOD_S`` apart, and the sensor moves no faster than ``_MAX_SPEED_MPS``.
+    """
+    if (step := period_of(values)) is None:
+        return None
+    metres = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+    for unit in _UNITS:
+        seconds = step * unit
+        if _PERIOD_S[0] <= seconds <= _PERIOD_S[1] and metres <= _MAX_SPEED_MPS * seconds:
             return unit
     return None
 

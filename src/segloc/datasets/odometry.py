@@ -14,7 +14,8 @@ import numpy as np
 
 from .. import geometry
 from ..errors import DatasetError, InvalidScan, MissingDependency
-from ..io.trajectory import Trajectory, read_trajectory, write_tum
+from ..io.pose_files import read_trajectory
+from ..io.trajectory import Trajectory, write_tum
 from ..motion import times_fit
 from ..types import Pose, Scan
 from .recorded import RecordedSequence

@@ -13,16 +13,18 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import DatasetError
 from ..io.fields import one_line
+from ..io.pose_files import read_pose_file
 from ..io.scans import read_file
-from ..io.trajectory import implausible, read_trajectory_and_kind, rigid_poses
+from ..io.trajectory import implausible, rigid_poses
 from ..motion import interpolated
 from ..system.budget import check_points
 from ..types import Float64, Int64, Pose
-from .clocks import epoch_unit, unit_beside
+from .clocks import epoch_unit, period_of, unit_beside, unit_by_spacing
 
 LONGEST_GAP_S = 1.0
 """Poses farther apart in time are not interpolated."""
 _UNUSABLE = "not finite, no unit quaternion, or stamp not rising"
+_MIN_NUMBERS = 0.5  # share of whole stamps that are numbers of scans, if they are no times
 _ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
 
 
@@ -37,7 +39,7 @@ class Track:
     keys: Float64  # (K,) strictly rising: seconds on the scans' clock, or scan numbers
     poses: Float64  # (K, 4, 4) T_world_sensor, z up
     clock: Literal["seconds", "numbers"] = "seconds"  # kind of the keys
-    note: str = ""  # what was dropped, if anything
+    note: str = ""  # what was dropped, or how columns were read
 
     def __post_init__(self) -> None:
         for fault, where in implausible(self.poses).items():
@@ -103,54 +105,62 @@ def rising(stamps: Float64) -> NDArray[np.bool_]:
 
 
 def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
-    """Read a TUM or KITTI file as a track for scans with these numbers and stamps.
+    """Read a file of poses as a track for scans with these numbers and stamps.
 
-    Whole stamps of a TUM file are scan numbers; others are times in seconds, milli-, micro- or
-    nanoseconds, recognised by the epoch or the scans' stamps. Stamped poses of as many unstamped
-    scans are paired in order. Row i of a KITTI file is the pose of scan number i if it has that
-    many rows, else of the scan at position i.
+    Whole stamps are scan numbers; others are times in seconds, milli-, micro- or nanoseconds,
+    recognised by the epoch, the scans' stamps, or their spacing. Stamped poses of as many unstamped
+    scans are paired in order. Row i of a file without stamps is the pose of scan number i if it has
+    that many rows, else of the scan at position i.
 
     Raise DatasetError if the file cannot be read, has no poses, or has times and the scans have
     none.
     """
-    trajectory, kind = read_trajectory_and_kind(path)
-    keys, poses = np.array(trajectory.stamps), np.array(trajectory.poses)
+    found = read_pose_file(path)
+    keys, poses = np.array(found.trajectory.stamps), np.array(found.trajectory.poses)
+    note = f"{path}: {found.note}" if found.note else ""
     if not len(keys):
         raise DatasetError(f"{path}: no poses")
-    if kind == "kitti":
-        return _by_rows(path, keys, poses, indices)
-    unit = _time_unit(keys, indices, stamps)
+    if found.kind != "stamped":
+        return _by_rows(path, keys, poses, indices, note)
+    unit = _time_unit(keys, poses, indices, stamps)
     if unit is None:
-        return Track(str(path), keys, poses, "numbers")
+        return Track(str(path), keys, poses, "numbers", note)
     if stamps is None and len(keys) != len(indices):
         raise DatasetError(
             f"{path}: its {len(keys)} poses are stamped, from {_span(keys * unit)} s, but the "
             f"{len(indices)} scans have no stamps: give poses by scan number, or name the files of "
             "scans by their times"
         )
-    return Track(str(path), keys * unit, poses)
+    return Track(str(path), keys * unit, poses, note=note)
 
 
-def _time_unit(keys: Float64, indices: Int64, stamps: Float64 | None) -> float | None:
+def _time_unit(
+    keys: Float64, poses: Float64, indices: Int64, stamps: Float64 | None
+) -> float | None:
     """Return the unit of a TUM file's stamps [s]; None if they are scan numbers."""
     if (unit := epoch_unit(keys)) is not None:
         by_number = stamps is None and bool(np.isin(keys, indices).any())
         return None if by_number else unit
     whole = not (keys % 1).any()
-    if whole and (stamps is None or np.isin(keys, indices).any()):
+    if stamps is None:
+        spaced = unit_by_spacing(keys, poses) if len(keys) == len(indices) else None
+        if not whole:
+            return spaced or 1.0
+        counted = np.isin(keys, indices).mean() > _MIN_NUMBERS or period_of(keys) == 1.0
+        return None if counted else spaced
+    if whole and np.isin(keys, indices).any():
         return None
-    beside = None if stamps is None else unit_beside(keys, stamps)
-    return beside or (None if whole else 1.0)
+    return unit_beside(keys, stamps) or (None if whole else 1.0)
 
 
-def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64) -> Track:
+def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64, note: str) -> Track:
     """Return the track of poses without stamps."""
     if len(keys) > indices.max():
-        return Track(str(path), keys, poses, "numbers")
+        return Track(str(path), keys, poses, "numbers", note)
     count = min(len(keys), len(indices))
-    note = ""
     if count < len(indices):
-        note = f"{path}: {count} rows, used as the poses of the first {count} scans"
+        fewer = f"{count} rows, used as the poses of the first {count} scans"
+        note = f"{note}; {fewer}" if note else f"{path}: {fewer}"
     return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers", note=note)
 
 

@@ -67,9 +67,13 @@ class _Header:
         return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
 
     @property
-    def columns(self) -> list[int]:
-        """First column of each wanted field in an ASCII file."""
-        return [sum(field.count for field in self.fields[:k]) for k in self.wanted]
+    def width(self) -> int:
+        """Numbers per point."""
+        return sum(field.count for field in self.fields)
+
+    def columns(self, wanted: list[int]) -> list[int]:
+        """Return the first column of fields in an ASCII file."""
+        return [sum(field.count for field in self.fields[:k]) for k in wanted]
 
     def places(self, wanted: list[int]) -> list[tuple[np.dtype[Any], int]]:
         """Return type and offset of fields in a binary point."""
@@ -86,13 +90,29 @@ class _Header:
 def parse_pcd(data: bytes) -> Scan:
     """Parse a PCD file; VIEWPOINT is ignored: points stay in the stored frame."""
     header = _parse_header(data)
+    return header.scan(_columns(data, header, header.wanted))
+
+
+def parse_fields(data: bytes) -> tuple[list[str], NDArray[np.float64]]:
+    """Return the names of the fields with one value, and their values (N, fields)."""
+    header = _parse_header(data)
+    single = [k for k, field in enumerate(header.fields) if field.count == 1]
+    if not single:
+        raise DatasetError("no fields")
+    with np.errstate(invalid="ignore"):  # damaged bytes may be signalling NaN
+        rows = np.column_stack(_columns(data, header, single)).astype(np.float64)
+    return [header.fields[k].name for k in single], rows
+
+
+def _columns(data: bytes, header: _Header, wanted: list[int]) -> list[NDArray[Any]]:
+    """Return the values of fields."""
     check_points(header.points)
     if header.encoding == "ascii":
-        return _parse_ascii(data, header)
+        return _parse_ascii(data, header, wanted)
     if header.encoding == "binary":
-        return _parse_binary(data, header)
+        return _parse_binary(data, header, wanted)
     if header.encoding == "binary_compressed":
-        return _parse_compressed(data, header)
+        return _parse_compressed(data, header, wanted)
     raise DatasetError(f"DATA is {header.encoding[:40]!r}, not ascii, binary or binary_compressed")
 
 
@@ -100,9 +120,8 @@ def point_layout(head: bytes) -> PointLayout | None:
     """Return the layout of coordinates by a file's first bytes; None if compressed."""
     header = _parse_header(head)
     if header.encoding == "ascii":
-        width = sum(field.count for field in header.fields)
-        columns = tuple(header.columns[:3])
-        return PointLayout(header.points, header.start, columns, stride=width, text=True)
+        columns = tuple(header.columns(header.wanted[:3]))
+        return PointLayout(header.points, header.start, columns, stride=header.width, text=True)
     if header.encoding != "binary":
         return None
     dtypes, columns = zip(*header.places(header.wanted[:3]), strict=True)
@@ -157,36 +176,32 @@ def _parse_num_points(entries: dict[str, list[str]]) -> int:
     return grid
 
 
-def _parse_ascii(data: bytes, header: _Header) -> Scan:
+def _parse_ascii(data: bytes, header: _Header, wanted: list[int]) -> list[NDArray[Any]]:
     table = parse_table(
         data[header.start :],
-        columns=header.columns,
-        width=sum(field.count for field in header.fields),
+        columns=header.columns(wanted),
+        width=header.width,
         rows=header.points,
     )
-    return header.scan(list(table.T))
+    return list(table.T)
 
 
-def _parse_binary(data: bytes, header: _Header) -> Scan:
+def _parse_binary(data: bytes, header: _Header, wanted: list[int]) -> list[NDArray[Any]]:
     needed = header.points * header.stride
     require_bytes(len(data) - header.start, needed, f"{header.points} points")
-    return header.scan(
-        [
-            column(data, dtype, header.points, header.start + at, header.stride)
-            for dtype, at in header.places(header.wanted)
-        ]
-    )
+    return [
+        column(data, dtype, header.points, header.start + at, header.stride)
+        for dtype, at in header.places(wanted)
+    ]
 
 
-def _parse_compressed(data: bytes, header: _Header) -> Scan:
+def _parse_compressed(data: bytes, header: _Header, wanted: list[int]) -> list[NDArray[Any]]:
     """Parse two sizes, then LZF over the fields, stored one after another."""
     content = _decompress(data, header.start, header.points * header.stride)
-    return header.scan(
-        [
-            column(content, dtype, header.points, header.points * at, dtype.itemsize)
-            for dtype, at in header.places(header.wanted)
-        ]
-    )
+    return [
+        column(content, dtype, header.points, header.points * at, dtype.itemsize)
+        for dtype, at in header.places(wanted)
+    ]
 
 
 def _decompress(data: bytes, start: int, expected: int) -> NDArray[np.uint8]:

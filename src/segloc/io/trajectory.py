@@ -1,92 +1,21 @@
-"""Trajectories, and their file formats TUM and KITTI."""
+"""Trajectories, written as TUM and KITTI files."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import DatasetError
-from ..system.budget import check_points
 from ..system.checks import MAX_METRES, are_rotations
 from ..system.files import write_text
 from ..types import Float64, Pose
-from .fields import faults_of, one_line
-from .scans import read_file
 
-TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""Columns of a TUM file, in order."""
-_MAX_COLUMNS = 200
-_UNIT = re.compile(r"(\S)\s+(?=[\[(])")  # a unit belongs to the name before it
-_TIME_WORDS = frozenset({"t", "time", "timestamp", "timestamps", "stamp", "ts", "sec", "secs"})
-_TURN_WORDS = frozenset({"q", "quat", "quaternion", "orientation", "ori", "rot", "rotation"})
-_PLACE_WORDS = frozenset(
-    {"t", "p", "pos", "position", "trans", "translation", "pose", "field", "rs", "r", "m"}
-)
-_NANO_WORDS = frozenset({"nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"})
-_TIME_UNITS = {
-    r"nsec|nano|\bns\b|_ns": 1e-9,
-    r"usec|micro|\bus\b|_us": 1e-6,
-    r"msec|milli|\bms\b|_ms": 1e-3,
-}
-
-
-def delimiter(line: str) -> str | None:
-    """Return comma or semicolon if present; None for white space."""
-    return next((mark for mark in ",;" if mark in line), None)
-
-
-def is_header(line: str) -> bool:
-    """Return whether no word of a line is a number."""
-    words = line.replace(",", " ").replace(";", " ").split()
-    return all(word[:1].isalpha() and word.lower() not in ("nan", "inf") for word in words)
-
-
-def named_columns(line: str) -> tuple[list[int] | None, float]:
-    """Return the positions of a TUM file's columns by name, and the unit of its stamps [s].
-
-    A ninth column holds nanoseconds beside whole seconds. Return None if columns are missing.
-    """
-    content = line.strip().lstrip("#%").strip()
-    mark = delimiter(content)
-    names = content.split(mark) if mark else _UNIT.sub(r"\1", content).split()
-    roles = [_role(name) for name in names[:_MAX_COLUMNS]]
-    if any(role not in roles for role in TUM):
-        return None, 1.0
-    stamped = [k for k, name in enumerate(names) if roles[k] == "time" and "stamp" in name.lower()]
-    first = (stamped or [roles.index("time")])[0]
-    columns = [first, *(roles.index(role) for role in TUM[1:])]
-    if "nanoseconds" in roles:
-        return [*columns, roles.index("nanoseconds")], 1.0
-    time = names[first].lower()
-    return columns, next((size for word, size in _TIME_UNITS.items() if re.search(word, time)), 1.0)
-
-
-def _role(name: str) -> str:
-    """Return the role of a column by name: time, x, y, z, qx, qy, qz, qw, or ""."""
-    plain = name.lower().partition("[")[0].partition("(")[0].strip("\"' \t\r")
-    parts = [part for part in re.split(r"[^a-z0-9]+", plain) if part]
-    if not parts:
-        return ""
-    axis, words = parts[-1][-1], {*parts[:-1], parts[-1][:-1]} - {""}
-    if axis in "xyzw" and words & _TURN_WORDS:
-        return f"q{axis}"
-    if axis in "xyz" and words <= _PLACE_WORDS:
-        return axis
-    if parts[-1] in _NANO_WORDS and parts[0] not in _TIME_WORDS:
-        return "nanoseconds"
-    return "time" if parts[0] in _TIME_WORDS or parts[-1] in _TIME_WORDS else ""
-
-
-_UNIT_TOLERANCE = 0.05  # of a quaternion's length; some files have only two decimals
 LONGEST_STEP_M = 1e5
 """Maximum distance between consecutive poses, across cuts of a recording [m]."""
-_KINDS: dict[int, Literal["tum", "kitti"]] = {8: "tum", 12: "kitti"}
 
 
 @dataclass(frozen=True)
@@ -105,7 +34,7 @@ class Trajectory:
         poses = np.array(self.poses, dtype=np.float64)
         if stamps.ndim != 1 or poses.shape != (len(stamps), 4, 4):
             raise DatasetError(f"stamps {stamps.shape} and poses {poses.shape} do not match")
-        fault = _first_fault(stamps, poses)
+        fault = first_fault(stamps, poses)
         if fault is not None:
             raise DatasetError(f"pose {fault[0]}: {fault[1]}")
         for name, array in (("stamps", stamps), ("poses", poses)):
@@ -143,8 +72,8 @@ class Trajectory:
         return T
 
 
-def _first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
-    """Return the position of the first invalid pose, and its fault."""
+def first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:
+    """Return the position of the first invalid pose, and its fault; None if there is none."""
     with np.errstate(all="ignore"):
         rising = np.diff(stamps, prepend=-np.inf) > 0
     rigid = are_rotations(poses[:, :3, :3]) & (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
@@ -189,113 +118,6 @@ def pose_rows(poses: Float64) -> Float64:
     quaternions = Rotation.from_matrix(np.array(poses[:, :3, :3])).as_quat()
     quaternions *= np.where(quaternions[:, 3:] < 0, -1.0, 1.0)  # q and -q are the same rotation
     return np.concatenate([poses[:, :3, 3], quaternions], axis=1)
-
-
-def read_trajectory(path: str | Path) -> Trajectory:
-    """Read a TUM file (8 columns) or a KITTI file (12 columns); lines with # are comments.
-
-    TUM: ``stamp tx ty tz qx qy qz qw``, stamps rising, quaternions normalised. KITTI: the upper
-    three rows of each pose, with stamps 0, 1, 2, ... A file of comments only has no poses.
-    Columns are separated by white space, commas or semicolons. A first line that names a time, a
-    position and a quaternion, as EuRoC's does, selects columns by name and the unit of time.
-
-    Raises
-    ------
-    DatasetError
-        With file and line: a wrong number of columns, text, NaN, a quaternion not of unit length,
-        a matrix that is not a rotation, stamps that do not rise, implausible positions.
-    """
-    return read_trajectory_and_kind(path)[0]
-
-
-def read_trajectory_and_kind(path: str | Path) -> tuple[Trajectory, Literal["tum", "kitti"]]:
-    """Read like :func:`read_trajectory`; also return the file's format."""
-    path = Path(path)
-    with faults_of(path):
-        numbers, lines = _parse_rows(read_file(path))
-        kind = _KINDS[numbers.shape[1]]
-        stamps, poses = _from_tum(numbers, lines) if kind == "tum" else _from_kitti(numbers)
-        fault = _first_fault(stamps, poses)
-        if fault is not None:
-            raise DatasetError(f"line {lines[fault[0]]}: {fault[1]}")
-    return Trajectory(stamps, poses), kind
-
-
-def _parse_rows(data: bytes) -> tuple[Float64, list[int]]:
-    """Return the numbers, (N, 8 or 12), and the line number of each row."""
-    text = data.decode("utf-8-sig", "replace").split("\n")
-    lines = [k for k, line in enumerate(text) if line.partition("#")[0].strip()]
-    check_points(len(lines), "poses")
-    if not data.strip():
-        raise DatasetError("empty file")
-    first = next((k for k, line in enumerate(text) if line.strip()), 0)
-    named, unit = named_columns(text[first])
-    if lines and lines[0] == first and (named is not None or is_header(text[first])):
-        del lines[0]
-        if named is None:
-            raise DatasetError(
-                f"line {first + 1}: header without columns for time, x, y, z, qx, qy, qz and qw"
-            )
-    if not lines:
-        return np.empty((0, 8)), []
-    rows = [text[k].partition("#")[0].strip().rstrip(",;") for k in lines]
-    lines = [k + 1 for k in lines]
-    mark = delimiter(rows[0])
-    if named is not None and max(named) >= len(rows[0].split(mark)):
-        named, unit = None, 1.0  # a remark, not a header of these columns
-    try:
-        numbers: Float64 = np.loadtxt(
-            rows, comments=None, delimiter=mark, usecols=named, ndmin=2, dtype=np.float64
-        )
-    except ValueError:
-        numbers = np.empty((0, 0))
-    if named is not None and numbers.shape[1] == len(named):
-        numbers[:, 0] *= unit
-        numbers[:, 0] += 1e-9 * numbers[:, 8:].sum(axis=1)
-        numbers = numbers[:, : len(TUM)]
-    if numbers.shape[1] not in _KINDS:
-        _raise_first_fault(rows, lines, mark, named)
-    return numbers, lines
-
-
-def _raise_first_fault(
-    rows: list[str], lines: list[int], mark: str | None, named: list[int] | None
-) -> NoReturn:
-    """Raise DatasetError at the first line that is not a pose."""
-    width = 0
-    for line, row in zip(lines, rows, strict=True):
-        words = row.split(mark)
-        wrong = max(named) >= len(words) if named else len(words) not in _KINDS
-        if wrong or (width and len(words) != width):
-            expected = width or "8 (TUM) or 12 (KITTI)"
-            raise DatasetError(f"line {line}: {len(words)} columns, not {expected}")
-        width = len(words)
-        for word in [words[k] for k in named] if named else words:
-            try:
-                np.loadtxt([word], comments=None)
-            except ValueError as error:
-                raise DatasetError(
-                    f"line {line}: could not convert string to float: {one_line(repr(word))}"
-                ) from error
-    raise DatasetError("cannot parse the poses")
-
-
-def _from_tum(numbers: Float64, lines: list[int]) -> tuple[Float64, Float64]:
-    with np.errstate(all="ignore"):
-        norms = np.linalg.norm(numbers[:, 4:], axis=1)
-        unit = np.abs(norms - 1) <= _UNIT_TOLERANCE  # False for NaN
-    if not unit.all():
-        first = int(unit.argmin())
-        raise DatasetError(f"line {lines[first]}: a quaternion of length {norms[first]:g}, not 1")
-    if not len(numbers):  # older SciPy rejects empty input
-        return numbers[:, 0], np.empty((0, 4, 4))
-    return numbers[:, 0], rigid_poses(numbers[:, 1:4], Rotation.from_quat(numbers[:, 4:]))
-
-
-def _from_kitti(numbers: Float64) -> tuple[Float64, Float64]:
-    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    poses[:, :3] = numbers.reshape(-1, 3, 4)
-    return np.arange(len(numbers), dtype=np.float64), poses
 
 
 def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from ... import geometry
 from ...errors import DatasetError
+from ...io.pose_files import read_pose_file
 from ...io.scans import read_file
-from ...io.trajectory import read_trajectory_and_kind
 from ...types import Float64, Int64, Pose
 from ..layout import holds_scans, numbers, parse_float4, relative, scan_files
 from ..recorded import FileSource, Found
@@ -67,8 +67,9 @@ def camera_track(file: Path, folder: Path, name: str) -> Track | None:
 
     The world is the first Velodyne frame: x forward, z up.
     """
-    trajectory, kind = read_trajectory_and_kind(file)
-    if kind != "kitti" or not len(trajectory):
+    found = read_pose_file(file)
+    trajectory = found.trajectory
+    if found.kind != "kitti" or not len(trajectory):
         return None
     T_cam_velo = read_calibration(folder / "calib.txt", "Tr")
     poses = geometry.inverse(T_cam_velo) @ np.array(trajectory.poses) @ T_cam_velo
