@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import shutil
+import sqlite3
 import struct
 from pathlib import Path
 
@@ -13,6 +15,7 @@ pytest.importorskip("rosbags")
 
 from samples.bags import KINDS, BagWriter
 from samples.datasets import START, Drive, matrix
+from samples.mcap import Channel, write_mcap
 
 from segloc import geometry
 from segloc.datasets import open_sequence
@@ -290,3 +293,124 @@ def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
                 assert str(path) in str(error)
                 refused += 1
     assert refused >= 10
+
+
+# --- MCAP of others -------------------------------------------------------------------------------
+
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+BESIDE: dict[str, Channel] = {
+    "json": ("/log", "json", "foxglove.Log", b"{}", "jsonschema"),
+    "protobuf": ("/image", "protobuf", "foxglove.Image", b"\xff\xfe\0", "protobuf"),
+    "broken": ("/thing", "cdr", "my_msgs/msg/Thing", b"Type[] x\nfloat32 <<< y\n", "ros2msg"),
+    "empty": ("/meta", "cdr", "RealsenseMetadata", b"", "ros2msg"),
+}  # fmt: skip
+DEFINITIONS = {
+    "whole": b"",  # the bag's own
+    "only a name": POINT_CLOUD.encode(),
+    "another message": b"bool is_dense\n",
+}
+
+
+def written(path: Path, definition: str = "whole", *beside: Channel, **options: object) -> Path:
+    bag = clouds(BagWriter("sqlite3"))
+    text = DEFINITIONS[definition] or bag.store.generate_msgdef(POINT_CLOUD)[0].encode()
+    messages = [
+        (0, time, bytes(bag.store.serialize_cdr(message, kind)))
+        for time, _, kind, message in bag.messages
+    ]
+    messages += [(k, messages[-1][1] + 1, b"\0\1\0\0{}") for k in range(1, len(beside) + 1)]
+    channels = [("/points", "cdr", POINT_CLOUD, text, "ros2msg"), *beside]
+    return write_mcap(path, channels, messages, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("options", [{}, {"chunked": True}, {"profile": ""}])
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_clouds_beside_other_channels(
+    definition: str, options: dict[str, object], tmp_path: Path
+) -> None:
+    path = written(tmp_path / "drive.mcap", definition, *BESIDE.values(), **options)
+    sequence = open_sequence(path)
+    assert len(sequence) == 8
+    np.testing.assert_allclose(sequence.scan(5).points, DRIVE.seen(5), atol=1e-5)
+
+
+def test_mcap_of_ros1(tmp_path: Path) -> None:
+    bag = clouds(BagWriter("ros1"))
+    messages = [
+        (0, time, bytes(bag.store.serialize_ros1(message, kind)))
+        for time, _, kind, message in bag.messages
+    ]
+    text = bag.store.generate_msgdef(POINT_CLOUD)[0].encode()
+    channel = ("/points", "ros1", "sensor_msgs/PointCloud2", text, "ros1msg")
+    path = write_mcap(tmp_path / "drive.mcap", [channel], messages, profile="ros1")
+    sequence = open_sequence(path)
+    np.testing.assert_allclose(sequence.stamps, DRIVE.stamps, atol=1e-6)
+    np.testing.assert_allclose(sequence.scan(5).points, DRIVE.seen(5), atol=1e-5)
+
+
+UNREAD = {
+    "foxglove.PointCloud": ("protobuf", "republish it as sensor_msgs/msg/PointCloud2"),
+    "sensor_msgs/msg/PointCloud": ("cdr", "republish it as sensor_msgs/msg/PointCloud2"),
+    "point_cloud_interfaces/msg/CompressedPointCloud2": ("cdr", "point_cloud_transport republish"),
+    "nebula_msgs/msg/NebulaPackets": ("cdr", "sensor's driver"),
+    "pandar_msgs/msg/PandarScan": ("cdr", "sensor's driver"),
+    "rslidar_msg/msg/RslidarPacket": ("cdr", "sensor's driver"),
+}
+
+
+@pytest.mark.parametrize("kind", UNREAD)
+def test_clouds_that_are_not_read_are_named_with_a_remedy(kind: str, tmp_path: Path) -> None:
+    encoding, remedy = UNREAD[kind]
+    schema = "protobuf" if encoding == "protobuf" else "ros2msg"
+    channel = ("/cloud", encoding, kind, b"", schema)
+    path = write_mcap(tmp_path / "drive.mcap", [channel], [(0, 1, b"\0\1\0\0")])
+    with pytest.raises(DatasetError, match=rf"/cloud \({kind}.*{remedy}"):
+        open_sequence(path)
+    beside = written(tmp_path / "both.mcap", "whole", channel)
+    assert len(open_sequence(beside)) == 8
+    with pytest.raises(DatasetError, match=remedy):
+        open_sequence(beside, topic="/cloud")
+
+
+# --- a recorder that was killed -------------------------------------------------------------------
+
+
+def test_what_a_killed_recorder_left_in_its_log(tmp_path: Path) -> None:
+    whole = clouds(BagWriter("sqlite3")).write(tmp_path / "drive")
+    file = next(whole.glob("*.db3"))
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    database = sqlite3.connect(file, isolation_level=None)
+    rows = database.execute("SELECT * FROM messages WHERE id > 3").fetchall()
+    database.execute("DELETE FROM messages WHERE id > 3")
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA wal_autocheckpoint=0")
+    database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+    for part in whole.iterdir():
+        shutil.copy(part, killed / part.name)
+    database.close()
+    before = {part.name: part.read_bytes() for part in killed.iterdir()}
+    assert any(name.endswith("-wal") for name in before)
+    sequence = open_sequence(killed)
+    assert len(sequence) == 8
+    np.testing.assert_allclose(sequence.scan(7).points, DRIVE.seen(7), atol=1e-5)
+    assert len(open_sequence(killed / file.name)) == 8
+    assert {part.name: part.read_bytes() for part in killed.iterdir()} == before
+    for part in killed.glob("*.db3-*"):
+        part.unlink()
+    short = open_sequence(killed)
+    assert len(short) == 3
+    assert any("3 of 8 messages" in note for note in short.notes)
+
+
+def test_messages_that_are_compressed_singly_without_metadata(tmp_path: Path) -> None:
+    zstd = pytest.importorskip("backports.zstd")
+    path = clouds(BagWriter("sqlite3")).write(tmp_path / "drive")
+    file = next(path.glob("*.db3"))
+    (path / "metadata.yaml").unlink()
+    with sqlite3.connect(file) as database:
+        for number, data in database.execute("SELECT id, data FROM messages").fetchall():
+            packed = zstd.compress(data)
+            database.execute("UPDATE messages SET data = ? WHERE id = ?", (packed, number))
+    database.close()
+    np.testing.assert_allclose(open_sequence(path).scan(5).points, DRIVE.seen(5), atol=1e-5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from . import bag_ouster, pointcloud2
 from .bag_file import seconds
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from .rosbags_reader import BagReader
 
 
 def sweep_scan(sweep: Any) -> Scan:
@@ -74,13 +75,41 @@ def livox_scan(data: bytes, *, cdr: bool) -> Scan:
 
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
-_LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
+_LIVOX = tuple(
+    f"{package}/msg/CustomMsg"
+    for package in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces")
+)
 _PACKETS = "velodyne_msgs/msg/VelodyneScan"
 _SWEEP = "sensor_msgs/msg/LaserScan"
 KINDS: tuple[tuple[str, ...], ...] = (
     (_CLOUD,), _LIVOX, (_PACKETS,), bag_ouster.KINDS, (_SWEEP,),
 )  # fmt: skip
 """Message types; earlier groups take precedence if no topic is chosen."""
+_REPUBLISH = "republish it as sensor_msgs/msg/PointCloud2 and record that"
+_DRIVER = "play the bag to the sensor's driver and record its sensor_msgs/msg/PointCloud2"
+_UNPACK = (
+    "play the bag to `ros2 run point_cloud_transport republish --ros-args -p in_transport:=draco "
+    "-p out_transport:=raw -r in/draco:=TOPIC -r out:=/points` and record /points"
+)
+_UNREAD: tuple[tuple[re.Pattern[str], str], ...] = (
+    (re.compile(r"(?i)compressedpointcloud2$|draco"), _UNPACK),
+    (re.compile(r"(?i)pointcloud2?$|laserscan$"), _REPUBLISH),
+    (
+        re.compile(
+            "(?i)(nebula|pandar|hesai|rslidar|robosense|velodyne|seyond|innovusion|lslidar|livox)"
+            ".*(packet|scan|frame)[^/]*$"
+        ),
+        _DRIVER,
+    ),
+)
+"""Types of clouds that are not read, and what to do instead."""
+
+
+def instead_of(msgtype: str) -> str:
+    """Return what to do with clouds of a type that cannot be read; "" for other types."""
+    return next((remedy for pattern, remedy in _UNREAD if pattern.search(msgtype)), "")
+
+
 _FIELDS = {
     _PACKETS: "x y z intensity ring time",
     _SWEEP: "x y intensity time",
@@ -88,25 +117,25 @@ _FIELDS = {
 }
 
 
-def scan_of(reader: AnyReader, data: bytes, kind: str, stamp: float, where: str) -> Scan:
+def scan_of(reader: BagReader, data: bytes, kind: str, stamp: float, where: str) -> Scan:
     """Convert a message to a scan, times in seconds after ``stamp``; a PointCloud2's as stored.
 
     Raise DatasetError for invalid content; bytes of another type may raise other errors.
     """
     if kind in _LIVOX:
-        return livox_scan(data, cdr=reader.is2)
+        return livox_scan(data, cdr=reader.cdr)
     message: Any = reader.deserialize(data, kind)
     if kind == _PACKETS:
         return _unpacked(message, stamp, where)
     return sweep_scan(message) if kind == _SWEEP else pointcloud2.to_scan(message)
 
 
-def defines_times(reader: AnyReader, topic: str) -> bool:
+def defines_times(reader: BagReader, topic: str) -> bool:
     """Return whether a topic's message type defines the unit of its point times."""
     return all(item.msgtype != _CLOUD for item in reader.connections if item.topic == topic)
 
 
-def fields_of(reader: AnyReader, data: bytes, kind: str) -> str:
+def fields_of(reader: BagReader, data: bytes, kind: str) -> str:
     """Return the fields of a message's points."""
     if kind in _FIELDS:
         return _FIELDS[kind]

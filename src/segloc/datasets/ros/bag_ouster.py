@@ -25,7 +25,7 @@ from .bag_file import BagFile, connections_of, faults_of
 from .bag_place import placed
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from .rosbags_reader import BagReader
 
 KINDS = tuple(
     f"{package}/msg/PacketMsg" for package in ("ouster_sensor_msgs", "ouster_ros", "ouster_msgs")
@@ -33,7 +33,7 @@ KINDS = tuple(
 _STRING = "std_msgs/msg/String"
 
 
-def on(reader: AnyReader, topic: str) -> bool:
+def on(reader: BagReader, topic: str) -> bool:
     """Return whether a topic has Ouster packets."""
     return any(item.topic == topic and item.msgtype in KINDS for item in reader.connections)
 
@@ -43,7 +43,7 @@ def is_imu(item: Any) -> bool:
     return item.msgtype in KINDS and "imu" in item.topic
 
 
-def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
+def find(reader: BagReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
     """List the turns; reads the bag through once.
 
     Raise DatasetError if there is no metadata or no complete turn.
@@ -75,14 +75,14 @@ def find(reader: AnyReader, paths: tuple[Path, ...], topic: str, name: str, stor
     return replace(found, gravity=_gravity(reader, topic, sensor, turns))
 
 
-def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> GravitySource | None:
+def _gravity(reader: BagReader, topic: str, sensor: Sensor, turns: Turns) -> GravitySource | None:
     """Return gravity from the sensor's own IMU packets, if any."""
     beside = topic.rpartition("/")[0]
     imus = [item for item in reader.connections if is_imu(item)]
     wanted = [item for item in imus if item.topic.rpartition("/")[0] == beside]
     stamps, rows = [], []
     for _, time, data in reader.messages(wanted) if wanted else ():
-        packet = _array(data, cdr=reader.is2)[:IMU_BYTES]
+        packet = _array(data, cdr=reader.cdr)[:IMU_BYTES]
         if sensor.legacy_imu and len(packet) == IMU_BYTES:
             stamps.append(time * 1e-9)
             rows.append(sensor.acceleration(packet))
@@ -92,21 +92,21 @@ def _gravity(reader: AnyReader, topic: str, sensor: Sensor, turns: Turns) -> Gra
     return Accelerometer(name, turns.stamps, np.array(stamps), np.array(rows))
 
 
-def _metadata(reader: AnyReader, topic: str) -> Sensor:
+def _metadata(reader: BagReader, topic: str) -> Sensor:
     """Read the sensor from the topic ``metadata`` beside that of the packets."""
     name = f"{topic.rpartition('/')[0]}/metadata"
     wanted = [c for c in reader.connections if c.topic == name and c.msgtype == _STRING]
     for _, _, data in reader.messages(wanted) if wanted else ():
-        return read_sensor(_array(data, cdr=reader.is2).rstrip(b"\0"), name)
+        return read_sensor(_array(data, cdr=reader.cdr).rstrip(b"\0"), name)
     raise DatasetError(f"{topic}: no metadata on {name} ({_STRING}): record it with the packets")
 
 
 def _packets(
-    reader: AnyReader, topic: str, sensor: Sensor, first: int | None = None, stop: int | None = None
+    reader: BagReader, topic: str, sensor: Sensor, first: int | None = None, stop: int | None = None
 ) -> Iterator[tuple[int, bytes]]:
     """Yield packets of the sensor's size with their log times."""
     for _, time, data in reader.messages(connections_of(reader, topic), first, stop):
-        packet = _array(data, cdr=reader.is2)
+        packet = _array(data, cdr=reader.cdr)
         if len(packet) >= sensor.packet.itemsize:  # drivers send the whole buffer
             yield time, packet[: sensor.packet.itemsize]
 

@@ -20,13 +20,13 @@ from .bag_file import BagFile, faults_of, fullest_topics, messages_of, optional,
 from .bag_tf import Edges, chain, frame_name, is_pose, mount, mount_on_base, read_tf, row
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from .rosbags_reader import BagReader
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def _find_tracks(
-    reader: AnyReader, edges: Edges, frame: str, remarks: list[str]
+    reader: BagReader, edges: Edges, frame: str, remarks: list[str]
 ) -> tuple[Track | None, Track | None]:
     """Return the track of a frame, or else of a body on which its mount is unknown.
 
@@ -51,7 +51,7 @@ def _find_tracks(
     return track, base if track is None else None
 
 
-def _read_odometry(reader: AnyReader, topic: str) -> tuple[Float64, Float64, str]:
+def _read_odometry(reader: BagReader, topic: str) -> tuple[Float64, Float64, str]:
     """Return stamps (K,), poses (K, 4, 4), NaN where invalid, and the frame of the body."""
     stamps, rows, bodies = [], [], set()
     for message, logged in messages_of(reader, topic):
@@ -92,7 +92,7 @@ _MAX_DISAGREEMENT_DEG = 15.0  # between an orientation and accelerations
 _MAX_TILT_DEG = 40.0  # off the expected vertical, if the IMU's mount is unknown
 
 
-def _find_imu(reader: AnyReader, edges: Edges, frame: str) -> tuple[str, Pose | None, str] | None:
+def _find_imu(reader: BagReader, edges: Edges, frame: str) -> tuple[str, Pose | None, str] | None:
     """Return topic, T_sensor_imu and a note: of an IMU with known mount, else of the fullest."""
     others: list[tuple[str, None, str]] = []
     for topic in fullest_topics(reader, _IMU):
@@ -105,7 +105,7 @@ def _find_imu(reader: AnyReader, edges: Edges, frame: str) -> tuple[str, Pose | 
     return others[0] if others else None
 
 
-def _frame_of(reader: AnyReader, topic: str) -> str:
+def _frame_of(reader: BagReader, topic: str) -> str:
     message, _ = next(messages_of(reader, topic), (None, 0))
     return "" if message is None else frame_name(message.header.frame_id)
 
@@ -174,7 +174,7 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
 
 
 def placed(
-    found: Found, reader: AnyReader, paths: tuple[Path, ...], stamps: Float64, logged: Int64
+    found: Found, reader: BagReader, paths: tuple[Path, ...], stamps: Float64, logged: Int64
 ) -> Found:
     """Return scans with the sensor's poses, mount and gravity, and remarks on unusable ones.
 

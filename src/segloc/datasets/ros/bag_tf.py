@@ -15,7 +15,7 @@ from ..tracks import are_unit, quaternion_poses, rising
 from .bag_file import optional, seconds
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from .rosbags_reader import BagReader
 
 _TF = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 _BASES = frozenset({"base_link", "base_footprint", "base_frame", "base"})
@@ -50,7 +50,7 @@ def frame_name(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def read_tf(reader: AnyReader) -> tuple[Edges, list[str]]:
+def read_tf(reader: BagReader) -> tuple[Edges, list[str]]:
     """Read the transforms of each frame, and remarks on dropped ones.
 
     Transforms that are not rigid are dropped, as is a second parent of a frame.

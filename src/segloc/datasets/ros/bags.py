@@ -6,15 +6,12 @@ this module selects the messages that are scans and reads them by position.
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from collections.abc import Iterable, Iterator
-from contextlib import closing
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +22,11 @@ from ..recorded import Found
 from ..tracks import rising
 from . import bag_ouster
 from .bag_file import BagFile, connections_of, faults_of, opened
-from .bag_messages import KINDS, defines_times, fields_of, scan_of
+from .bag_messages import KINDS, defines_times, fields_of, instead_of, scan_of
 from .bag_place import placed
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from .rosbags_reader import BagReader
 
 _HEAD = 512  # bytes, enough for a header
 
@@ -52,7 +49,7 @@ class Headers:
         return Headers(self.stamps[mask], self.logged[mask], self.ranks[mask], frames)
 
 
-def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Headers:
+def read_headers(reader: BagReader, topic: str) -> Headers:
     """Read the headers of all messages of a topic, in order of recording.
 
     Of SQLite and uncompressed ROS 1 bags only the first bytes of each message are read; others are
@@ -60,18 +57,13 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
 
     Raise DatasetError if a message is too short for a header.
     """
-    files = [file for path in paths for file in (path.glob("*.db3") if path.is_dir() else [path])]
-    heads: Iterable[tuple[int, bytes]]
-    if files and all(file.suffix == ".db3" for file in files) and not _compressed(paths):
-        rows = [row for file in files for row in _sqlite_heads(file, topic)]
-        heads = sorted(rows, key=itemgetter(0))
-    elif not reader.is2 and (places := _ros1_places(reader, topic)) is not None:
-        heads = places
-    else:
+    heads: Iterable[tuple[int, bytes]] | None
+    heads = reader.heads(topic, _HEAD) if reader.is2 else _ros1_places(reader, topic)
+    if heads is None:
         heads = (
             (time, data[:_HEAD]) for _, time, data in reader.messages(connections_of(reader, topic))
         )
-    parse = _parse_cdr if reader.is2 else _parse_ros1
+    parse = _parse_cdr if reader.cdr else _parse_ros1
     logged, stamps, frames = [], [], []
     names: dict[str, str] = {}  # interned: one string for all messages
     for k, (time, head) in enumerate(heads):
@@ -87,23 +79,7 @@ def read_headers(reader: AnyReader, paths: tuple[Path, ...], topic: str) -> Head
     return Headers(np.array(stamps, np.float64), times, ranks, tuple(frames))
 
 
-def _compressed(paths: tuple[Path, ...]) -> bool:
-    """Return whether a ROS 2 bag's messages are compressed singly, by its metadata."""
-    files = [path / "metadata.yaml" for path in paths if path.is_dir()]
-    return any("zstd" in file.read_text("utf-8", "replace") for file in files)
-
-
-def _sqlite_heads(path: Path, topic: str) -> Iterator[tuple[int, bytes]]:
-    query = (
-        f"SELECT messages.timestamp, substr(messages.data, 1, {_HEAD}) FROM messages "
-        "JOIN topics ON messages.topic_id = topics.id WHERE topics.name = ? ORDER BY timestamp"
-    )
-    uri = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(uri, uri=True)) as database:
-        yield from database.execute(query, (topic,))
-
-
-def _ros1_places(reader: AnyReader, topic: str) -> Iterator[tuple[int, bytes]] | None:
+def _ros1_places(reader: BagReader, topic: str) -> Iterator[tuple[int, bytes]] | None:
     """Yield first bytes of messages by a ROS 1 bag's index; None if chunks are compressed."""
     from rosbags.rosbag1.reader import decompressors
 
@@ -206,7 +182,9 @@ def find(path: Path, topic: str | None) -> Found:
         chosen = _choose(path, reader, topic)
         if bag_ouster.on(reader, chosen):
             return bag_ouster.find(reader, paths, chosen, name, _kind(paths[0]))
-        headers, notes = _in_order(read_headers(reader, paths, chosen), str(path), chosen)
+        headers = read_headers(reader, chosen)
+        lost = _lost(reader, chosen, len(headers))
+        headers, notes = _in_order(headers, str(path), chosen)
         fields = _fields(reader, chosen)
         found = Found(
             name=name,
@@ -217,10 +195,21 @@ def find(path: Path, topic: str | None) -> Found:
             topic=chosen,
             frame=headers.frames[0],
             fields=fields,
-            notes=tuple(notes),
+            notes=(*lost, *notes),
             times_sure=defines_times(reader, chosen),
         )
         return placed(found, reader, paths, headers.stamps, headers.logged)
+
+
+def _lost(reader: BagReader, topic: str, count: int) -> list[str]:
+    """Return a note if a ROS 2 bag's metadata counts more messages than there are."""
+    counted = sum(item.msgcount for item in connections_of(reader, topic))
+    if count >= counted:
+        return []
+    return [
+        f"{topic}: {count} of {counted} messages by the bag's index are there: the rest was not "
+        "written, or lies in files that are missing"
+    ]
 
 
 def _kind(path: Path) -> str:
@@ -229,12 +218,14 @@ def _kind(path: Path) -> str:
     return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
 
 
-def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
+def _choose(path: Path, reader: BagReader, topic: str | None) -> str:
     """Return the chosen topic, or the only one of the preferred message types."""
     groups = [_counts(reader, kinds) for kinds in KINDS]
     counts = {name: count for group in groups for name, count in group.items()}
+    if not counts or (topic is not None and topic not in counts):
+        _refuse_unread(path, reader, topic)
     if not counts:
-        others = sorted({f"{item.topic} ({item.msgtype})" for item in reader.connections})
+        others = sorted({f"{item.topic} ({item.msgtype})" for item in _all_topics(reader)})
         raise DatasetError(f"{path}: no topic of scans; topics: {', '.join(others) or 'none'}")
     if topic is not None:
         if topic not in counts:
@@ -247,7 +238,22 @@ def _choose(path: Path, reader: AnyReader, topic: str | None) -> str:
     return next(iter(best))
 
 
-def _counts(reader: AnyReader, kinds: tuple[str, ...]) -> dict[str, int]:
+def _all_topics(reader: BagReader) -> list[Any]:
+    return [*reader.connections, *reader.foreign]
+
+
+def _refuse_unread(path: Path, reader: BagReader, topic: str | None) -> None:
+    """Raise DatasetError if there are clouds of a type that is not read (on the chosen topic)."""
+    from .rosbags_reader import serialization
+
+    for item in _all_topics(reader):
+        remedy = instead_of(item.msgtype)
+        if remedy and topic in (None, item.topic):
+            kind = item.msgtype + (f", {serialization(item)}" if item in reader.foreign else "")
+            raise DatasetError(f"{path}: {item.topic} ({kind}) is not read: {remedy}")
+
+
+def _counts(reader: BagReader, kinds: tuple[str, ...]) -> dict[str, int]:
     """Count the messages on each topic of some types."""
     counts: dict[str, int] = {}
     for item in reader.connections:
@@ -281,7 +287,7 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
     return headers.part(later), [f"{lost} of {len(later)} messages dropped: stamps do not rise"]
 
 
-def _fields(reader: AnyReader, topic: str) -> str:
+def _fields(reader: BagReader, topic: str) -> str:
     for item, _, data in reader.messages(connections_of(reader, topic)):
         return fields_of(reader, data, item.msgtype)
     return ""
