@@ -157,8 +157,11 @@ class _AnyProfile:
         return data if at != _HEADER_START else (_PROFILE + data)[: len(data)]
 
 
-class _Mcap(storage_mcap.McapReader):
+class _Mcap(storage_mcap.McapReader):  # type: ignore[misc,unused-ignore]
     """MCAP of any profile, with or without an index of messages."""
+
+    bio: Any
+    connections: list[Any]
 
     def _open(self) -> None:
         file = self.bio
@@ -190,7 +193,7 @@ def _definition(schema: Any) -> MessageDefinition:
 
 def _text(file: BinaryIO) -> str:
     """Read a string of an MCAP file; schemas of other systems may hold any bytes."""
-    return storage_mcap.read_bytes(file).decode("utf-8", "replace")
+    return str(storage_mcap.read_bytes(file), "utf-8", "replace")
 
 
 def _install() -> None:
@@ -226,7 +229,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 """First bytes of a message that is compressed singly; those of CDR begin with 0."""
 
 
-class BagReader(AnyReader):
+class BagReader(AnyReader):  # type: ignore[misc,unused-ignore]
     """Messages of ROS 1 and ROS 2 in bags; a definition is parsed when it is needed.
 
     Attributes
