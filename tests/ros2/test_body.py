@@ -11,7 +11,7 @@ from segloc_ros.core.body import Body
 from segloc_ros.core.frames import Transform, pose_of, position_and_quaternion
 from segloc_ros.core.replies import InitialPose, MapToOdom, OdometryReply, PoseReply
 from segloc_ros.core.settings import Settings
-from segloc_ros.core.transforms import TransformTree
+from segloc_ros.core.transforms import Fixity, TransformTree
 
 from segloc import ConfigError, InvalidScan, Localizer, geometry
 from segloc.frontend.mounting import rotation
@@ -25,19 +25,40 @@ def test_mounts_lead_over_common_frames_and_slashes_are_left_out() -> None:
     tree.add([Transform(0.0, "/body", "/base_link", A), Transform(0.0, "body", "mast", B)], True)
     tree.add([Transform(0.0, "mast", "os_sensor", A)], True)
     expected = geometry.inverse(A) @ B @ A
-    np.testing.assert_allclose(tree.mount("base_link", "/os_sensor"), expected, atol=1e-12)
-    assert tree.mount("base_link", "elsewhere") is None
+    np.testing.assert_allclose(tree.mount("base_link", "/os_sensor").T, expected, atol=1e-12)
+    assert tree.mount("base_link", "elsewhere").fixity is Fixity.MISSING
     assert tree.newest("base_link", "os_sensor") is None
 
 
-def test_a_joint_that_moves_is_no_mount_and_one_that_is_only_repeated_is() -> None:
-    tree = TransformTree()
-    for k in range(3):
-        moved = geometry.yaw_transform(0.1 * k)
-        tree.add([Transform(float(k), "base", "still", A)], False)
-        tree.add([Transform(float(k), "base", "pan", moved)], False)
-    np.testing.assert_allclose(tree.mount("base", "still"), A, atol=1e-12)
-    assert tree.mount("base", "pan") is None
+def test_a_joint_is_fixed_if_it_stays_while_the_robot_moves() -> None:
+    """Of the joints one is still but for noise, one pans, and one only once the robot drives."""
+    tree, rng = TransformTree(), np.random.default_rng(0)
+
+    def drive(k: int, odom_m: float) -> list[Fixity]:
+        stamp, noise = 0.1 * k, rng.normal(0.0, 1e-3, 3)
+        driven = geometry.yaw_transform(0.0, (odom_m, 0.0, 0.0))
+        for name, T in (
+            ("still", geometry.rigid(A[:3, :3], A[:3, 3] + noise)),
+            ("pan", geometry.yaw_transform(0.01 * k)),
+            ("world", geometry.inverse(driven)),
+        ):
+            tree.add([Transform(stamp, "base", name, T)], False)
+        found = [tree.mount("base", name) for name in ("still", "pan", "world")]
+        tree.drive(stamp, driven)
+        assert all((mount.T is not None) is (mount.fault == "") for mount in found)
+        return [mount.fixity for mount in found]
+
+    for k in range(50):  # at rest nothing tells a fixed joint from one that moves with the robot
+        at_rest = drive(k, 0.0)
+    assert at_rest == [Fixity.UNPROVEN, Fixity.MOVING, Fixity.UNPROVEN]
+    for k in range(50, 80):
+        driven = drive(k, 0.05 * (k - 49))
+    assert driven == [Fixity.FIXED, Fixity.MOVING, Fixity.MOVING]
+    np.testing.assert_allclose(tree.mount("base", "still").T[:3, 3], A[:3, 3], atol=5e-3)
+    changes = tree.changes
+    tree.add([Transform(8.1, "base", "still", A @ geometry.yaw_transform(0.1))], False)
+    assert tree.mount("base", "still").fixity is Fixity.MOVING and tree.changes > changes
+    assert "base -> still by 5.7 degrees" in tree.mount("base", "still").fault
 
 
 def test_what_moves_is_interpolated_and_never_made_up() -> None:
@@ -60,9 +81,9 @@ def test_nonsense_in_tf_is_passed_over() -> None:
     nan = np.full((4, 4), np.nan)
     tree.add([Transform(0.0, "a", "b", nan), Transform(np.nan, "a", "b", A)], True)
     tree.add([Transform(0.0, "a", "a", A), Transform(0.0, "", "b", A)], True)
-    assert tree.mount("a", "b") is None
+    assert tree.mount("a", "b").T is None
     tree.add([Transform(0.0, "a", "b", A), Transform(0.0, "b", "a", A)], True)  # a circle
-    assert tree.mount("a", "nowhere") is None and tree.mount("x", "a") is None
+    assert tree.mount("a", "nowhere").T is None and tree.mount("x", "a").T is None
 
 
 def test_poses_keep_their_numbers_through_quaternions() -> None:

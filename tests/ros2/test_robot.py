@@ -13,9 +13,11 @@ from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_t
 from samples.streams import walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, diagnose
+from segloc_ros.core.frames import Transform
 from segloc_ros.core.replies import CandidatesReply, InitialPose, MapToOdom, MatchesReply, PoseReply
 
 from segloc import ConfigError, Localizer, Prior, geometry
+from segloc.frontend.mounting import rotation
 from segloc.map.georeference import KEY, Georeference
 from segloc.types import Pose
 
@@ -85,7 +87,7 @@ def test_nothing_is_told_while_it_is_not_known_where_the_lidar_is(
     assert listener.said == []
     told = diagnose(listener.robot)
     assert told.level is Level.WARN
-    assert told.message == "no fixed transform base_link -> os_sensor in tf"
+    assert told.message.startswith("no transform base_link -> os_sensor in tf: publish it on")
     on_tf_static(listener.robot)
     truth = listener.walk(plaza, 3, start_s=103.0, begin=(-8.0, 1.3))
     assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
@@ -240,7 +242,7 @@ def test_the_radius_of_a_prior_follows_its_covariance() -> None:
 def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of()
     on_tf_static(listener.robot)
-    listener.robot.no_map("no map: site.segmap: No such file or directory")
+    listener.robot.report_map("site.segmap", "no map: site.segmap: No such file or directory")
     listener.walk(plaza, 2)
     assert listener.said == [] and diagnose(listener.robot).level is Level.ERROR
     listener.robot.use(localizer)
@@ -248,7 +250,7 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     assert listener.of_kind(PoseReply)
     listener.robot.use(localizer)
     assert listener.robot.T_map_odom is None
-    listener.robot.no_map("no map: it is gone")  # the one in use stays
+    listener.robot.report_map("site.segmap", "no map: it is gone")  # the one in use stays
     listener.clear()
     listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
     assert listener.of_kind(InitialPose)
@@ -375,3 +377,143 @@ def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
     assert (
         0.1 < error < 0.8 and np.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1]) > 0.5 * error
     )
+
+
+def registered(plaza: Plaza, listener: Listener, frame: str, count: int = 6) -> Pose:
+    """Walk with clouds in the odometry's frame, as FAST-LIO's /cloud_registered; the true pose."""
+    lidar_base = geometry.inverse(MOUNT)
+    for events, T_map_lidar in walked(plaza, count):
+        for event in events:
+            if event.scan is None:
+                T = event.T_odom_base @ lidar_base
+                listener.transforms([Transform(event.stamp, "odom", "base_link", T)])
+                listener.odometry(event.stamp, T)
+            else:
+                T_odom_lidar = geometry.inverse(T_MAP_ODOM) @ T_map_lidar
+                points = geometry.transform(T_odom_lidar, event.scan.points)
+                listener.cloud(event.stamp, points, frame)
+    return T_map_lidar @ lidar_base
+
+
+@pytest.mark.parametrize("parameters", [{}, {"base_to_lidar": [0.0] * 6}, {"odometry": "tf"}])
+def test_clouds_in_the_odometrys_frame_are_named_and_give_no_pose(
+    localizer: Localizer, plaza: Plaza, parameters: dict[str, Any]
+) -> None:
+    listener = Listener.of(localizer, **parameters)
+    registered(plaza, listener, "odom")
+    assert not listener.of_kind(PoseReply) and not listener.of_kind(MapToOdom)
+    told = diagnose(listener.robot)
+    assert told.message.startswith("clouds are in odom, the odometry's frame: use the driver's raw")
+    assert told.values["refused"] == told.values["refused: world frame"] == "6"
+
+
+def test_clouds_that_stand_still_under_a_sensors_name_end_the_localization(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    registered(plaza, listener, LIDAR, count=8)
+    told = diagnose(listener.robot)
+    assert "clouds stand still while the odometry moves" in told.message
+    assert listener.robot.T_map_odom is None and "refused: world frame" in told.values
+    listener.clear()
+    truth = listener.walk(plaza, 4, start_s=108.0, begin=(-12.0, 1.0))
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+
+
+def test_a_mount_on_tf_counts_once_the_robot_drove_and_ends_the_localization_if_it_moves(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    lidar_base, joint = geometry.inverse(MOUNT), MOUNT
+
+    def walk(count: int, start_s: float, begin: tuple[float, float]) -> Pose:
+        for events, T_map_lidar in walked(plaza, count, start_s=start_s, begin=begin):
+            for event in events:
+                listener.transforms([Transform(event.stamp, "base_link", LIDAR, joint)])
+                if event.scan is None:
+                    listener.odometry(event.stamp, event.T_odom_base @ lidar_base)
+                else:
+                    listener.cloud(event.stamp, event.scan.points)
+            truth = T_map_lidar @ lidar_base
+        return truth
+
+    walk(1, 100.0, (-14.0, 1.0))
+    assert not listener.said
+    assert "base_link -> os_sensor is on /tf, so it may move" in diagnose(listener.robot).message
+    truth = walk(4, 101.0, (-12.0, 1.1))
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert diagnose(listener.robot).message == "localized"
+    listener.clear()
+    joint = MOUNT @ geometry.yaw_transform(0.0, (0.03, 0.0, 0.0))
+    listener.transforms([Transform(104.5, "base_link", LIDAR, joint)])
+    assert "base_link -> os_sensor moves" in diagnose(listener.robot).message
+    assert listener.robot.T_map_odom is None
+    listener.odometry(104.6, np.eye(4))
+    assert not listener.said
+
+
+def test_an_odometry_whose_z_axis_is_not_up_is_named(localizer: Localizer, plaza: Plaza) -> None:
+    """Of a level base with z down and with a camera's axes; and with both frames z down."""
+    for degrees in ((180.0, 0.0, 0.0), (90.0, 0.0, 90.0)):
+        listener = Listener.of(localizer)
+        on_tf_static(listener.robot)
+        turned = T_MAP_ODOM @ geometry.rigid(rotation(*degrees), np.zeros(3))
+        listener.walk(plaza, 3, T_map_odom=turned)
+        assert "the z axis of odom is not up" in diagnose(listener.robot).message
+        assert not listener.of_kind(PoseReply)
+    flip = geometry.rigid(rotation(180.0, 0.0, 0.0), np.zeros(3))
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot, flip @ MOUNT)
+    for events, _ in walked(plaza, 6, T_map_odom=T_MAP_ODOM @ flip):
+        for event in events:
+            if event.scan is None:
+                T = event.T_odom_base @ geometry.inverse(MOUNT) @ flip
+                listener.odometry(event.stamp, T)
+            else:
+                listener.cloud(event.stamp, event.scan.points)
+    told = diagnose(listener.robot)
+    assert not listener.of_kind(PoseReply)
+    assert "in the odometry's axes the ground lies towards +z" in told.message
+
+
+def test_clouds_without_points_are_no_scans_and_are_counted(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    scans = listener.robot.core.scans
+    for k, points in enumerate((np.full((9, 3), np.nan), np.zeros((9, 3)), np.empty((0, 3)))):
+        listener.odometry(102.5 + k, np.eye(4))
+        listener.cloud(102.4 + k, points)
+        assert "cloud refused" in diagnose(listener.robot).message
+    told = diagnose(listener.robot)
+    assert listener.robot.core.scans == scans and told.values["refused: no usable points"] == "3"
+    assert float(told.values["cloud_age_s"]) < 60.0
+
+
+def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Plaza) -> None:
+    """A turn of 0.1 s as nanoseconds, seconds since 1970 and fractions; motion is undone alike."""
+    lidar_base = geometry.inverse(MOUNT)
+    for kind, convert in (
+        ("f8", lambda turn, stamp: stamp + 0.1 * turn),
+        ("f4", lambda turn, stamp: turn),
+        ("f4", lambda turn, stamp: 1e8 * turn),
+        ("u4", lambda turn, stamp: 1e8 * turn),
+    ):
+        listener = Listener.of(localizer)
+        on_tf_static(listener.robot)
+        for events, T_map_lidar in walked(plaza, 25, start_s=1.75e9, every_s=0.1, step=0.3):
+            before, main, behind = events
+            listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
+            turn = np.linspace(0.0, 1.0, len(main.scan.points))
+            times = convert(turn, main.stamp)
+            ahead = np.outer(3.0 * 0.1 * turn, T_map_lidar[0, :3])  # it drives along x of the map
+            cloud = cloud_of(main.scan.points - ahead, ("time", kind, times))
+            listener.hear(listener.robot.on_cloud(cloud, main.stamp, LIDAR))
+            listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+        pose = listener.of_kind(PoseReply)[-1]
+        truth = T_map_lidar @ lidar_base
+        assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
+        assert diagnose(listener.robot).message == "localized"

@@ -20,16 +20,23 @@ MOUNT = geometry.yaw_transform(0.7, (1.5, 0.2, 0.3))
 BASE, LIDAR, ODOM = "base_link", "os_sensor", "odom"
 
 
-def cloud_of(points: Float64) -> Any:
-    """sensor_msgs/PointCloud2 of (N, 3) points."""
+_CODES = {"u4": 6, "f4": 7, "f8": 8}
+
+
+def cloud_of(points: Float64, *more: tuple[str, str, Float64]) -> Any:
+    """sensor_msgs/PointCloud2 of (N, 3) points, and more fields: name, type and values."""
+    columns = [*zip("xyz", ["f4"] * 3, np.asarray(points).T, strict=True), *more]
+    rows = np.zeros(len(points), [(name, "<" + kind) for name, kind, _ in columns])
+    for name, _, values in columns:
+        rows[name] = values
     fields = [
-        SimpleNamespace(name=name, offset=4 * k, datatype=7, count=1)
-        for k, name in enumerate("xyz")
+        SimpleNamespace(name=name, offset=rows.dtype.fields[name][1], datatype=_CODES[k], count=1)
+        for name, k, _ in columns
     ]
-    data = np.ascontiguousarray(points, dtype="<f4")
+    step = rows.dtype.itemsize
     return SimpleNamespace(
-        height=1, width=len(points), fields=fields, is_bigendian=False, point_step=12,
-        row_step=12 * len(points), data=np.frombuffer(data.tobytes(), np.uint8),
+        height=1, width=len(rows), fields=fields, is_bigendian=False, point_step=step,
+        row_step=step * len(rows), data=np.frombuffer(rows.tobytes(), np.uint8),
     )  # fmt: skip
 
 
@@ -53,15 +60,15 @@ class Listener:
         return cls(robot)
 
     def odometry(self, stamp: float, T_odom_base: Pose, frame: str = ODOM) -> None:
-        self._hear(self.robot.on_odometry(stamp, frame, BASE, T_odom_base))
+        self.hear(self.robot.on_odometry(stamp, frame, BASE, T_odom_base))
 
     def transforms(self, transforms: list[Transform]) -> None:
-        self._hear(self.robot.on_transforms(transforms, False))
+        self.hear(self.robot.on_transforms(transforms, False))
 
     def cloud(
         self, stamp: float, points: Float64, frame: str = LIDAR, topic: str = "points"
     ) -> None:
-        self._hear(self.robot.on_cloud(cloud_of(points), stamp, frame, topic))
+        self.hear(self.robot.on_cloud(cloud_of(points), stamp, frame, topic))
 
     def walk(self, plaza: Plaza, count: int, T_base_lidar: Pose = MOUNT, **options: Any) -> Pose:
         """Walk as :func:`samples.streams.walked`; the true pose of the base at the end."""
@@ -81,7 +88,8 @@ class Listener:
     def clear(self) -> None:
         self.said.clear()
 
-    def _hear(self, replies: list[Reply]) -> None:
+    def hear(self, replies: list[Reply]) -> None:
+        """Keep replies, and make the queries that are due."""
         self.said += replies
         while (job := self.robot.due()) is not None:
             self.said += self.robot.answer(self.robot.ask(job))

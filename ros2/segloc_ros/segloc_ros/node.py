@@ -97,7 +97,10 @@ class SeglocNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self.robot = Robot(settings)
         maps = MapFile(settings.map, settings.threads)
-        self.pump = Pump(self.robot, maps, self._publish, self._outputs.show_map)
+        self.pump = Pump(
+            self.robot, maps, self._publish, self._outputs.show_map, self._warn,
+            clouds=settings.points_depth * (1 + len(settings.more_points_topics)),
+        )  # fmt: skip
         return super().on_configure(state)
 
     def _without_tf(self, settings: Settings) -> None:
@@ -163,28 +166,27 @@ class SeglocNode(LifecycleNode):
 
     # --- what comes in -------------------------------------------------------------------------
 
-    def _feed(self, event: Any, alive: bool = True) -> None:
-        if alive:
-            self._heard_at, self._quiet = time.monotonic(), False
-        if self.pump is None:
-            return
-        try:
-            self.pump.feed(event)
-        except SeglocError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+    def _warn(self, fault: str) -> None:
+        self.get_logger().warning(fault, throttle_duration_sec=5.0)
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
+        self._heard_at, self._quiet = time.monotonic(), False
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
-        self._feed(lambda robot: robot.on_cloud(message, stamp, frame, topic))
+        if self.pump is not None:
+            self.pump.feed_cloud(lambda robot: robot.on_cloud(message, stamp, frame, topic))
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (
             seconds(message.header.stamp), message.header.frame_id, message.child_frame_id
         )  # fmt: skip
-        self._feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(message.pose.pose)))
+        self._heard_at, self._quiet = time.monotonic(), False
+        pose = message.pose.pose
+        if self.pump is not None:
+            self.pump.feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(pose)))
 
     def _on_tf(self, transforms: list[Transform], static: bool) -> None:
-        self._feed(lambda robot: robot.on_transforms(transforms, static), alive=False)
+        if self.pump is not None:
+            self.pump.feed(lambda robot: robot.on_transforms(transforms, static))
 
     def _on_imu(self, message: Imu) -> None:
         a = message.linear_acceleration
@@ -192,11 +194,11 @@ class SeglocNode(LifecycleNode):
             return
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
         felt = np.array([a.x, a.y, a.z])
-        self.pump.read(lambda robot: robot.on_acceleration(stamp, frame, felt))
+        self.pump.feed(lambda robot: robot.on_acceleration(stamp, frame, felt))
 
     def _on_fix(self, message: NavSatFix) -> None:
         if self.pump is not None:
-            self.pump.read(lambda robot: robot.on_fix(message))
+            self.pump.feed(lambda robot: robot.on_fix(message))
 
     def _on_click(self, message: PoseWithCovarianceStamped) -> None:
         if self.pump is None:
@@ -230,6 +232,8 @@ class SeglocNode(LifecycleNode):
         if self._inputs and quiet_s > robot.settings.silent_s and not self._quiet:
             self._quiet = True
             self._publish(robot.quiet(quiet_s))
+        if self._inputs:
+            robot.publishers = self.count_publishers(self._inputs[0].topic_name)
         if self._outputs is not None:
             told = self._outputs.look_after(robot, bool(self._inputs))
             if told is not None and told.level is Level.OK:

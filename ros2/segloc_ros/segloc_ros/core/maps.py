@@ -1,4 +1,4 @@
-"""The map: a file or tiles, loaded when it comes, again when it changes, or another on request."""
+"""The map: a file or tiles, loaded when it appears or changes, or another on request."""
 
 from __future__ import annotations
 
@@ -23,28 +23,32 @@ class MapFile:
 
     Attributes
     ----------
+    path : str
+        The file that is watched.
     fault : str
-        Why there is none; "" where there is.
+        Why it cannot be loaded; "" if it is loaded.
+    request_fault : str
+        Why the last map on request could not be loaded; "" if it was.
     """
 
     def __init__(self, path: str, threads: int) -> None:
-        self._path, self._threads = path, threads
+        self.path, self._threads = path, threads
         self._seen: tuple[int, int, int] | None = None
-        self.fault = "the map is being read"
+        self.fault, self.request_fault = "the map is being read", ""
 
     def newer(self) -> Localizer | None:
-        """One in the map, if it was not there before or has changed; None where all is as it was.
+        """Return a localizer if the map is new or has changed; None otherwise.
 
         Files are replaced whole, so what is there can be read; what cannot is read again only once
         it has changed.
         """
-        if not self._path:
+        if not self.path:
             self.fault = "no map: set the parameter map to a .segmap, a folder of tiles or its URL"
             return None
         try:
-            signature = _signature(self._path)
+            signature = _signature(self.path)
         except OSError as error:
-            self.fault, self._seen = f"no map: {self._path}: {error.strerror}", None
+            self.fault, self._seen = f"no map: {self.path}: {error.strerror}", None
             return None
         except SeglocError as error:
             self.fault, self._seen = f"no map: {error}", None
@@ -53,7 +57,7 @@ class MapFile:
             return None
         self._seen = signature
         try:
-            localizer = opened(self._path, self._threads)
+            localizer = opened(self.path, self._threads)
         except (SeglocError, OSError) as error:
             self.fault = f"no map: {error}"
             return None
@@ -72,8 +76,12 @@ class MapFile:
             signature = _signature(path)
             localizer = opened(path, self._threads)
         except OSError as error:
-            raise SeglocError(f"{path}: {error.strerror}") from error
-        self._path, self._seen, self.fault = path, signature, ""
+            self.request_fault = f"{path}: {error.strerror}"
+            raise SeglocError(self.request_fault) from error
+        except SeglocError as error:
+            self.request_fault = str(error)
+            raise
+        self.path, self._seen, self.fault, self.request_fault = path, signature, "", ""
         return localizer
 
 

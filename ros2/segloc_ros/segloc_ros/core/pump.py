@@ -1,11 +1,12 @@
-"""One thread beside the executor's: it makes the queries and reads the map."""
+"""Two threads beside the executor's: one takes messages in, one makes queries and reads the map."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from segloc import Localizer, SeglocError
@@ -16,10 +17,16 @@ from .replies import Reply
 from .robot import Robot
 
 T = TypeVar("T")
+Event = Callable[[Robot], list[Reply]]
+
+_MAX_WAITING = 4096  # events other than clouds
 
 
 class Pump:
-    """Lets callbacks reach a robot one at a time, and makes its queries beside them.
+    """Lets events reach a robot one at a time, and makes its queries beside them.
+
+    Clouds take longest, so whatever else has come in goes first: a flood of clouds delays no
+    odometry. Of the clouds that wait the newest are kept.
 
     Parameters
     ----------
@@ -29,8 +36,17 @@ class Pump:
         Called with every batch of replies, one after another, in any thread.
     on_map : callable
         Called with every map that is taken into use.
+    on_fault : callable
+        Called with the fault of an event that cannot be used, in any thread.
+    clouds : int
+        Number of clouds that wait.
     watch_s : float
-        How often the map is looked after, seconds.
+        Time between checks of the map's file [s].
+
+    Attributes
+    ----------
+    error : BaseException or None
+        What ended a thread.
     """
 
     def __init__(
@@ -39,26 +55,44 @@ class Pump:
         maps: MapFile,
         publish: Callable[[list[Reply]], None],
         on_map: Callable[[Localizer], None],
+        on_fault: Callable[[str], None] = lambda fault: None,
+        clouds: int = 2,
         watch_s: float = 1.0,
     ) -> None:
         self._robot, self._maps = robot, maps
-        self._publish, self._on_map, self._watch_s = publish, on_map, watch_s
-        self._changed = threading.Condition()
+        self._publish, self._on_map, self._on_fault = publish, on_map, on_fault
+        self._watch_s = watch_s
+        self._turn, self._changed = threading.Lock(), threading.Condition()
+        self._arrived = threading.Condition()
+        self._events: deque[Event] = deque(maxlen=_MAX_WAITING)
+        self._clouds: deque[Event] = deque(maxlen=clouds)
+        self._skipped = 0
         self._loads: deque[tuple[str, Pose | None, Callable[[str], None]]] = deque()
         self._closed = False
         self.error: BaseException | None = None
-        self._thread = threading.Thread(target=self._guarded, name="segloc-queries", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=self._guarded, args=[run], name=name, daemon=True)
+            for run, name in ((self._run, "segloc-queries"), (self._take_in, "segloc-intake"))
+        ]
+        for thread in self._threads:
+            thread.start()
 
-    def feed(self, event: Callable[[Robot], list[Reply]]) -> None:
-        """Let an event reach the robot, and publish what it says."""
-        with self._changed:
-            self._publish(event(self._robot))
-            self._changed.notify_all()
+    def feed(self, event: Event) -> None:
+        """Let an event reach the robot soon, and publish its replies; returns at once."""
+        with self._arrived:
+            self._events.append(event)
+            self._arrived.notify()
+
+    def feed_cloud(self, event: Event) -> None:
+        """Let a cloud reach the robot after all other events; returns at once."""
+        with self._arrived:
+            self._skipped += len(self._clouds) == self._clouds.maxlen
+            self._clouds.append(event)
+            self._arrived.notify()
 
     def read(self, question: Callable[[Robot], T]) -> T:
-        """Ask the robot something, or tell it something that it does not answer."""
-        with self._changed:
+        """Read from the robot, or change it without a reply."""
+        with self._entered():
             return question(self._robot)
 
     def load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
@@ -67,22 +101,54 @@ class Pump:
         With ``T_new_old``, between the maps' frames, search near the last pose first, seen from
         above. ``done`` is called, in any thread, with the fault; "" if there is none.
         """
-        with self._changed:
+        with self._entered():
             self._loads.append((path, T_new_old, done))
             self._changed.notify_all()
 
     def close(self) -> None:
-        """End the thread, once what it is at is done."""
-        with self._changed:
+        """End the threads after their current work."""
+        with self._entered():
             self._closed = True
             self._changed.notify_all()
-        self._thread.join()
+        with self._arrived:
+            self._arrived.notify_all()
+        for thread in self._threads:
+            thread.join()
 
-    def _guarded(self) -> None:
+    @contextmanager
+    def _entered(self) -> Iterator[None]:
+        """Hold the robot. Whoever waits is next: a thread that is always busy lets it in."""
+        with self._turn:
+            self._changed.acquire()
         try:
-            self._run()
+            yield
+        finally:
+            self._changed.release()
+
+    def _guarded(self, run: Callable[[], None]) -> None:
+        try:
+            run()
         except BaseException as error:
             self.error = error
+
+    def _take_in(self) -> None:
+        while (event := self._next()) is not None:
+            with self._entered():
+                self._robot.skipped = self._skipped
+                try:
+                    self._publish(event(self._robot))
+                except SeglocError as error:
+                    self._on_fault(str(error))
+                self._changed.notify_all()
+
+    def _next(self) -> Event | None:
+        """Wait for an event; None once all is to end."""
+        with self._arrived:
+            while not (self._events or self._clouds or self._closed):
+                self._arrived.wait()
+            if self._closed:
+                return None
+            return self._events.popleft() if self._events else self._clouds.popleft()
 
     def _run(self) -> None:
         looked = -self._watch_s
@@ -92,30 +158,35 @@ class Pump:
                 self._look_after_map()
             while self._loads:
                 self._load(*self._loads.popleft())
-            with self._changed:
+            with self._entered():
                 job = None if self._closed else self._robot.due()
                 if job is None:
-                    self._changed.wait(self._watch_s)
+                    if not self._closed:
+                        self._changed.wait(self._watch_s)
                     continue
             answer = self._robot.ask(job)
-            with self._changed:
+            with self._entered():
                 self._publish(self._robot.answer(answer))
 
     def _load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
         try:
             localizer = self._maps.switch(path)
         except SeglocError as error:
+            self._report_map()
             done(str(error))
             return
         self._on_map(localizer)
         self.read(lambda robot: robot.switch(localizer, T_new_old))
+        self._report_map()
         done("")
 
     def _look_after_map(self) -> None:
         localizer = self._maps.newer()
-        if localizer is None:
-            if self._maps.fault:
-                self.read(lambda robot: robot.no_map(self._maps.fault))
-            return
-        self._on_map(localizer)
-        self.read(lambda robot: robot.use(localizer))
+        if localizer is not None:
+            self._on_map(localizer)
+            self.read(lambda robot: robot.use(localizer))
+        self._report_map()
+
+    def _report_map(self) -> None:
+        maps = self._maps
+        self.read(lambda robot: robot.report_map(maps.path, maps.fault, maps.request_fault))

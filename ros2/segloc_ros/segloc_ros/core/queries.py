@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from segloc import Prior, SeglocError, geometry
+from segloc import Prior, Scan, SeglocError, geometry
+from segloc.doctor.finding import Fault
+from segloc.doctor.scan_faults import scan_findings
 from segloc.live import LiveCore
 from segloc.live.core import PendingQuery
 from segloc.pipeline import Search
@@ -18,15 +20,40 @@ from segloc.types import Float64, Pose
 from .replies import MatchesReply
 
 _AGREE_M = 2.0
+_CHECKED = 3
+_AXES = (Fault.Z_DOWN, Fault.CAMERA_AXES, Fault.TILT)
+_Z_UP = "publish odometry with z up (REP 103), or check the mount of the LiDAR"
 
 
 @dataclass(frozen=True)
 class Job:
-    """A query that is due, and where alone it may look."""
+    """A query that is due, where alone it may search, and scans to check if it fails."""
 
     core: LiveCore
     asked: PendingQuery
     near: Prior | None
+    scans: tuple[Scan, ...] = ()
+
+
+class ScansInOdom:
+    """The first scans of a lost robot, in the axes of its odometry; checked once."""
+
+    def __init__(self) -> None:
+        self._scans: list[Scan] = []
+        self._is_taken = False
+
+    def add(self, scan: Scan, T_odom_lidar: Pose) -> None:
+        """Keep a scan, turned but not moved."""
+        if not self._is_taken and len(self._scans) < _CHECKED:
+            points = scan.points @ T_odom_lidar[:3, :3].T.astype(np.float32)
+            self._scans.append(Scan(points))
+
+    def take(self) -> tuple[Scan, ...]:
+        """Return the scans once they are complete; nothing afterwards."""
+        if self._is_taken or len(self._scans) < _CHECKED:
+            return ()
+        taken, self._scans, self._is_taken = tuple(self._scans), [], True
+        return taken
 
 
 @dataclass(frozen=True)
@@ -49,7 +76,9 @@ class Answer:
     candidates : tuple of (T_map_base, probability)
         Places that were found, the most probable first.
     message : str
-        Why nothing is believed; "" where something is.
+        Why no pose is accepted; "" if one is.
+    hint : str
+        What is wrong with the job's scans; "" if nothing is known to be.
     """
 
     job: Job
@@ -60,6 +89,7 @@ class Answer:
     centroids: Float64 = field(default_factory=lambda: np.empty((0, 3)))
     candidates: tuple[tuple[Pose, float], ...] = ()
     message: str = ""
+    hint: str = ""
 
     def matches(self, frame: str) -> MatchesReply | None:
         """What to show of it; None where nothing was searched or found."""
@@ -93,7 +123,18 @@ def make(job: Job) -> Answer:
         (place.T_map_local @ T_local_base, p)
         for place, p in zip(posterior.places, posterior.probabilities, strict=True)
     )
-    return Answer(job, view, search, times, position, centroids, candidates, message)
+    hint = _hint(job.scans) if message else ""
+    return Answer(job, view, search, times, position, centroids, candidates, message, hint)
+
+
+def _hint(scans: tuple[Scan, ...]) -> str:
+    """Return what is wrong with scans in the axes of the odometry: their unit or its axes."""
+    for finding in scan_findings(scans, posed=True):
+        if finding.fault in _AXES and finding.wrong:
+            return f"in the odometry's axes {finding.what}: {_Z_UP}"
+        if finding.wrong:
+            return str(finding)
+    return ""
 
 
 def _agreeing(job: Job, query: Query, search: Search) -> Float64:

@@ -1,13 +1,13 @@
-"""The node without ROS: what topics say goes in, what is to be published comes out.
+"""The node without ROS: messages go in, replies to publish come out.
 
-No threads and no clock but for durations. Queries are handed out, made elsewhere, and answered, as
-with :class:`segloc.live.LiveCore`, around which this is.
+No threads, and no clock but for durations. Queries are handed out, made elsewhere, and answered, as
+with :class:`segloc.live.LiveCore`, which this wraps.
 """
 
 from __future__ import annotations
 
 import time
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from segloc.batch.run import gnss_priors
 from segloc.datasets.clocks import StreamTimes
 from segloc.datasets.fixes import Fixes
 from segloc.datasets.ros.pointcloud2 import to_scan
+from segloc.io.point_times import unread_times
 from segloc.live import LidarOdometry, LiveCore, MountedScan, State, Status
 from segloc.map.georeference import Georeference
 from segloc.types import Float64, Pose
@@ -25,12 +26,14 @@ from segloc.types import Float64, Pose
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
-from .queries import Answer, Job, make
+from .queries import Answer, Job, ScansInOdom, make
 from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings
+from .still import StillClouds
 from .trigger import Trigger
 
 _MOST_POSES = 4096
+_NEAR_S = 0.5
 _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
 """A tracker is told again where it is once that differs by more."""
 
@@ -52,7 +55,18 @@ class Robot:
     last : Answer or None
         The last query with a search.
     intake_ms, points : float, int
-        What the last cloud took, and its points, those of all LiDARs.
+        Processing time of the last cloud, and its points, those of all LiDARs.
+    refused : Counter of str
+        Clouds that were not used, by reason.
+    skipped, jumps : int
+        Clouds that came faster than they could be processed; jumps of the odometry.
+    map_path, map_fault, request_fault : str
+        The file of the map, why it cannot be read, and why the last one on request was not; "" if
+        they were.
+    publishers : int or None
+        Of ``points``; None if unknown.
+    hint : str
+        Likely cause of failed queries; "" if none is known.
     keeper : PoseKeeper or None
         Keeps the pose over a power cycle.
     point_times : dict of str to StreamTimes
@@ -66,6 +80,12 @@ class Robot:
         self.state: State | None = None
         self.last: Answer | None = None
         self.fixes, self.intake_ms, self.points = 0, 0.0, 0
+        self.refused: Counter[str] = Counter()
+        self.skipped = self.jumps = 0
+        self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
+        self.publishers: int | None = None
+        self.hint = ""
+        self._arrived: float | None = None  # when the last cloud came, by a steady clock
         self._localizer: Localizer | None = None
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._is_near_fix = False  # whether the last query was near it
@@ -78,7 +98,10 @@ class Robot:
         self.keeper = settings.keeper
         self._smooth, self._merger = settings.smooth, settings.merger
         self._lidar_odometry: LidarOdometry | None = None
-        self._lidar = "", -np.inf  # whose clouds are taken, and when the last came
+        self._lidar = "", -np.inf  # frame and stamp of the newest cloud of the main topic
+        self._unread: dict[str, str] = {}  # fields that look like point times, by topic
+        self._still, self._checked = StillClouds(), ScansInOdom()
+        self._tf_changes = 0
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
@@ -93,13 +116,23 @@ class Robot:
         """What follows the robot; None while the map or the mount is unknown."""
         return self._core
 
+    @property
+    def cloud_age_s(self) -> float | None:
+        """Time since the newest cloud arrived [s]; None before the first."""
+        return None if self._arrived is None else time.monotonic() - self._arrived
+
+    @property
+    def time_notes(self) -> str:
+        """What is assumed of the units of point times, or why they are not used."""
+        notes = {*self._unread.values(), *(each.note for each in self.point_times.values())}
+        return "; ".join(sorted(notes - {""}))
+
     # --- what comes in -------------------------------------------------------------------------
 
     def use(self, localizer: Localizer) -> None:
-        """Take a map, the first or another: what was known of the one before is forgotten."""
-        self._localizer, self._core, self.state, self._told = localizer, None, None, None
-        if self.trigger.held is not None:
-            self.trigger.lose()
+        """Take a map, the first or another: the pose in the one before is forgotten."""
+        self._localizer = localizer
+        self._end()
         self._own.pop("map", None)
 
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
@@ -114,82 +147,139 @@ class Robot:
             prior = Prior((T_new_old @ pose[0])[:2, 3], self.settings.click_radius_m)
         self.relocalize(prior)
 
-    def no_map(self, why: str) -> None:
-        """There is none; one that was used before stays in use."""
-        if self._localizer is None:
-            self._own["map"] = why
+    def report_map(self, path: str, fault: str, request_fault: str = "") -> None:
+        """Report the map's file, why it cannot be read, and why the last one on request was not.
+
+        A map in use stays in use.
+        """
+        self.map_path, self.map_fault, self.request_fault = path, fault, request_fault
+        if self._localizer is None and fault:
+            self._own["map"] = fault
 
     def on_transforms(self, transforms: list[Transform], static: bool) -> list[Reply]:
-        """tf2_msgs/TFMessage."""
-        return self._moved(self.body.add_transforms(transforms, static))
+        """tf2_msgs/TFMessage. A mount that moves ends the localization."""
+        odometry = self.body.add_transforms(transforms, static)
+        if self.body.tf_changes != self._tf_changes:
+            self._tf_changes = self.body.tf_changes
+            if self._core is not None and not self.body.is_rigid():
+                self._end()
+        return self._moved(odometry)
 
     def on_odometry(self, stamp: float, parent: str, child: str, T: Pose) -> list[Reply]:
         """nav_msgs/Odometry."""
         return self._moved(self.body.add_odometry(stamp, parent, child, T))
 
-    def on_acceleration(self, stamp: float, frame: str, acceleration: Float64) -> None:
-        """sensor_msgs/Imu; none where the driver says that it has none."""
+    def on_acceleration(self, stamp: float, frame: str, acceleration: Float64) -> list[Reply]:
+        """sensor_msgs/Imu; one that is not finite is ignored."""
         if np.isfinite(acceleration).all():
             self.body.add_acceleration(stamp, frame, acceleration)
+        return []
 
     def on_cloud(self, cloud: Any, stamp: float, frame: str, topic: str = "") -> list[Reply]:
-        """sensor_msgs/PointCloud2. What cannot be used is refused, and that is said.
+        """sensor_msgs/PointCloud2. An unusable one is refused, counted by reason, and reported.
 
         ``topic``: of which LiDAR it is, if there are several.
         """
         begun = time.perf_counter()
+        self._arrived = time.monotonic()
         self._own.pop("points", None)
-        lidar, is_main = frame_name(frame), topic in ("", self.settings.points_topic)
-        if is_main and not self._is_of_one(lidar, stamp):
+        lidar, topic = frame_name(frame), topic or self.settings.points_topic
+        if topic == self.settings.points_topic and not self._is_of_one(lidar, stamp):
             return []
-        T_base_lidar = self.body.mount(lidar)
+        T_base_lidar = self.body.mount(lidar, topic)
         if T_base_lidar is None:
+            self.refused[self.body.refusal] += 1
+            if self.body.is_broken(lidar, topic):
+                self._end()
             return []
-        replies: list[Reply] = []
         try:
-            name = topic or self.settings.points_topic
-            scan = self.point_times[name].apply(to_scan(cloud), stamp)
-            given = [MountedScan(stamp, scan, T_base_lidar)]
-            if self._merger is not None:
-                given = self._merger.add(name, given[0])
-                if given and self._merger.missing:
-                    self._own["points"] = f"no clouds of {', '.join(self._merger.missing)}"
-            for each in given:
-                replies += self._take(each)
+            scan = to_scan(cloud)
         except SeglocError as error:
-            if self._core is not None:
-                self._core.refused += 1
-            self._own["points"] = f"cloud refused: {error}"
-            return []
+            return self._refuse("unreadable", f"cloud refused: {error}")
+        if not len(scan):
+            count = int(cloud.width) * int(cloud.height)
+            unusable = f"all {count} points are zero or not finite" if count else "no points"
+            return self._refuse("no usable points", f"cloud refused: {unusable}: check the driver")
+        if topic not in self._unread:
+            self._unread[topic] = unread_times(field.name for field in cloud.fields)
+        given = MountedScan(stamp, self.point_times[topic].apply(scan, stamp), T_base_lidar)
+        replies: list[Reply] = []
+        for each in self._merged(topic, given):
+            replies += self._take(each)
         self.intake_ms = 1e3 * (time.perf_counter() - begun)
         return replies
 
+    def _refuse(self, reason: str, fault: str) -> list[Reply]:
+        self.refused[reason] += 1
+        self._own["points"] = fault
+        return []
+
     def _is_of_one(self, lidar: str, stamp: float) -> bool:
-        """Whether clouds of the main topic are of one LiDAR."""
+        """Return whether clouds of the main topic are of one LiDAR."""
         name, last = self._lidar
         if lidar != name and 0.0 <= stamp - last < self.settings.silent_s:
-            self._own["points"] = (
-                f"clouds in {lidar} and in {name} on one topic: use more_points_topics"
-            )
+            fault = f"clouds in {lidar} and in {name} on one topic: use more_points_topics"
+            self._refuse("several frames", fault)
             return False
         self._lidar = lidar, stamp
         return True
 
+    def _merged(self, topic: str, given: MountedScan) -> list[MountedScan]:
+        if self._merger is None:
+            return [given]
+        merged = self._merger.add(topic, given)
+        if merged and self._merger.missing:
+            self._own["points"] = f"no clouds of {', '.join(self._merger.missing)}"
+        return merged
+
     def _take(self, given: MountedScan) -> list[Reply]:
+        if fault := self._stands_still(given):
+            self._end()
+            return self._refuse("world frame", fault)
         core, self.points = self._following(given.T_base_sensor), len(given.scan)
         replies: list[Reply] = []
-        if self.settings.odometry == "none":
-            self._moved(self.body.standing(given.stamp))
-            given.scan.times = None
-        elif self.settings.odometry == "kiss-icp":
-            replies += self._registered(given)
-        if core is not None:
-            replies += self._tell(core.add_scan(given.scan, given.stamp))
+        try:
+            if self.settings.odometry == "none":
+                self._moved(self.body.standing(given.stamp))
+                given.scan.times = None
+            elif self.settings.odometry == "kiss-icp":
+                replies += self._registered(given)
+            if core is not None:
+                replies += self._tell(core.add_scan(given.scan, given.stamp))
+        except SeglocError as error:
+            self._refuse("unusable", f"cloud refused: {error}")
         return replies
 
-    def on_fix(self, fix: Any) -> None:
+    def _stands_still(self, given: MountedScan) -> str:
+        """Return the fault of clouds in a fixed frame; "" for others."""
+        T_odom_base = self._pose_near(given.stamp)
+        if T_odom_base is None:
+            return ""
+        T_odom_lidar = T_odom_base @ given.T_base_sensor
+        self._still.add(given.scan.points, T_odom_lidar)
+        if not (self.state is not None and self.state.localized):
+            self._checked.add(given.scan, T_odom_lidar)
+        if not self._still.still_m or self.settings.odometry == "kiss-icp":
+            return ""  # odometry of the clouds needs them
+        return (
+            f"clouds stand still while the odometry moves {self._still.still_m:.1f} m: they are "
+            "in the odometry's frame (use the driver's raw topic), or the robot did not move"
+        )
+
+    def _pose_near(self, stamp: float) -> Pose | None:
+        """Return the pose of the odometry nearest to a time; None if there is none within 0.5 s."""
+        nearest_s, nearest = _NEAR_S, None
+        for time_s, T in reversed(self._odometry):
+            if (off_s := abs(time_s - stamp)) <= nearest_s:
+                nearest_s, nearest = off_s, T
+            elif nearest is not None:
+                break
+        return nearest
+
+    def on_fix(self, fix: Any) -> list[Reply]:
         """sensor_msgs/NavSatFix."""
         self._fix = fix
+        return []
 
     def on_click(self, click: Click) -> str:
         """A rough pose: it is looked for there, whatever was believed before.
@@ -218,6 +308,7 @@ class Robot:
             self.keeper.drop("overridden by a call")
         self.trigger.wake(near, anywhere)
         self._told, self._own = None, {k: v for k, v in self._own.items() if k != "jump"}
+        self._forget_hints()
         if self._core is not None:
             self.state = self._core.forget()
         return self.fixes
@@ -240,10 +331,10 @@ class Robot:
         if self.trigger.resting:
             core.answer(asked, None)
             return None
-        return Job(core, asked, near)
+        return Job(core, asked, near, () if self.hint else self._checked.take())
 
     def _fixed(self, stamp: float) -> Prior | None:
-        """Around the newest fix, in every other query while the robot is not localized."""
+        """Return a prior around the newest fix, in every other query while not localized."""
         is_wanted = self._fix is not None and self.state is not None and not self.state.localized
         if self._localizer is None or not is_wanted:
             return None
@@ -277,6 +368,7 @@ class Robot:
             return []
         if answer.search is not None:
             self.last = answer
+        self.hint = self.hint or answer.hint
         replies = self._tell([answer.job.core.answer(answer.job.asked, answer.view)])
         if answer.candidates:
             frame, stamp = self.settings.map_frame, answer.job.asked.stamp
@@ -314,15 +406,27 @@ class Robot:
 
     # --- inside --------------------------------------------------------------------------------
 
+    def _end(self) -> None:
+        """End the localization: nothing that is known of the pose holds any longer."""
+        self._core, self.state, self._told = None, None, None
+        self._forget_hints()
+        if self._smooth is not None:
+            self._smooth.clear()
+        if self.trigger.held is not None:
+            self.trigger.lose()
+
+    def _forget_hints(self) -> None:
+        self.hint, self._checked = "", ScansInOdom()
+
     def _following(self, T_base_lidar: Pose) -> LiveCore | None:
-        """The core for a mount, begun anew where that has changed."""
+        """Return the core for a mount; a new one if it has changed."""
         if self._localizer is None:
             return None
         if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
             self._core = LiveCore(
                 self._localizer, self.settings.live, T_base_lidar, keeper=self.keeper
             )
-            self.state, self._told, self._jumps = None, None, 0
+            self.state, self._told = None, None
             for stamp, T in self._odometry:
                 self._core.add_odometry(stamp, T)
             self._jumps = self._core.jumps
@@ -394,7 +498,8 @@ class Robot:
         core = self._core
         if core is None or core.jumps == self._jumps:
             return
-        self._jumps = core.jumps
+        self.jumps += core.jumps - self._jumps
+        self._jumps, self._still = core.jumps, StillClouds()
         if self.trigger.resting and self.trigger.held is not None:
             self.trigger.lose()
             self._told, self.state = None, core.forget()
