@@ -11,16 +11,17 @@ from pathlib import Path
 
 import atheris
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT / "ros2" / "segloc_ros")]
 os.environ.setdefault("SEGLOC_MAX_POINTS", "1000000")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-FOUND = Path(__file__).resolve().parents[1] / "hostile" / "found"
+FOUND = PROJECT / "tests" / "hostile" / "found"
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # faster than a disk
 LARGEST = 4096
 """Bytes of an input, so that what is found can be kept."""
 
 instrumented = atheris.instrument_imports(
-    include=["segloc", "rosbags.rosbag1", "rosbags.rosbag2", "rosbags.highlevel"],
+    include=["segloc", "segloc_ros", "rosbags.rosbag1", "rosbags.rosbag2", "rosbags.highlevel"],
     enable_loader_override=False,
 )
 
@@ -79,7 +80,7 @@ def fuzz(
         if len(seed) <= LARGEST:
             (corpus / f"seed-{number}").write_bytes(seed)
     dictionary = corpus.with_suffix(".dict")
-    dictionary.write_text("".join(f'"{word}"\n' for word in words))
+    dictionary.write_text("".join(f'"{word}"\n' for word in words) or "# none\n")
     seconds = sys.argv[1] if len(sys.argv) > 1 else "60"
     options = {
         "max_total_time": seconds, "max_len": str(LARGEST), "timeout": "10",

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TARGETS = ("scans", "trajectories", "messages", "bags", "weights", "texts")
+TARGETS = ("scans", "trajectories", "messages", "bags", "layouts", "node", "weights", "texts")
 
 
 def main(seconds: str, targets: list[str]) -> int:

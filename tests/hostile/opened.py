@@ -8,13 +8,15 @@ signal SIGXCPU.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import json
 import math
 import resource
 import sys
 import time
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 MEMORY = 2 << 30
 LONGEST_S = 10  # of all threads together, so that a busy machine makes no difference
@@ -86,6 +88,73 @@ def read_config(path: Path) -> str:
     return str(Config.load(path).method)
 
 
+def read_layout(path: Path) -> str:
+    """A bag of the layout that the bytes of a file stand for."""
+    import tempfile
+
+    from hostile.drawn import write_bag
+
+    with tempfile.TemporaryDirectory() as folder:
+        return read_sequence(write_bag(path.read_bytes(), Path(folder)))
+
+
+def heard_by_node(path: Path) -> str:
+    """The messages that a file stands for: each is refused in a line, or its replies are finite."""
+    from segloc_ros.core import Robot, Settings
+    from segloc_ros.core.diagnosis import diagnose
+
+    from hostile.drawn import Draw, messages
+    from segloc.errors import SeglocError
+
+    draw, refused = Draw(path.read_bytes()), 0
+    values = {
+        "trigger": draw.of(("periodic", "until_localized", "service")),
+        "odometry": draw.of(("topic", "topic", "tf", "kiss-icp")),
+        "mode": draw.of(("both", "tf", "initialpose")),
+        "base_to_lidar": draw.of(((), (0.1, 0.2, 1.0, 0.0, 0.0, 0.3))),
+        "query_every_m": draw.of((0.0, 5.0)),
+        "deadline_ms": 20.0,
+        "smooth_tf": draw.below(2) == 0,
+    }
+    robot = Robot(Settings.of(values))
+    robot.use(_localizer())
+    for message in messages(draw):
+        try:
+            replies = message(robot)
+        except SeglocError as error:  # which the node logs
+            one_line(error)
+            replies, refused = [], refused + 1
+        replies = replies if isinstance(replies, list) else []
+        while (job := robot.due()) is not None:
+            replies = [*replies, *robot.answer(robot.ask(job))]
+        for reply in replies:
+            _check_finite(reply)
+        assert all(isinstance(text, str) for text in diagnose(robot).values.values())
+    return f"{refused} messages refused, found {robot.fixes} times"
+
+
+@functools.cache
+def _localizer() -> Any:
+    from hostile.drawn import plaza_walk
+    from segloc import Config, Localizer, build_map
+
+    return Localizer(build_map(plaza_walk(), Config.preset("geo")))
+
+
+def _check_finite(value: Any) -> None:
+    """No number of a reply is infinite, or not a number."""
+    import numpy as np
+
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            _check_finite(getattr(value, field.name))
+    elif isinstance(value, list | tuple):
+        for each in value:
+            _check_finite(each)
+    elif isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind == "f":
+        assert np.isfinite(value).all(), value
+
+
 def one_line(error: Exception) -> str:
     text = str(error)
     assert text and "\n" not in text and len(text) <= 4000, text[:500]
@@ -98,6 +167,8 @@ HOW = {
     "trajectory": read_trajectory,
     "weights": read_weights,
     "config": read_config,
+    "layout": read_layout,
+    "node": heard_by_node,
 }
 
 

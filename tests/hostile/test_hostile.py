@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import signal
 import subprocess
@@ -103,6 +104,20 @@ def test_what_fuzzing_found(tmp_path: Path) -> None:
     listed = [
         (file.name, file.parent.name, file) for file in sorted(FOUND.glob("*/*")) if file.is_file()
     ]
+    broken = {name: text for name, (what, text) in open_all(listed, tmp_path).items()
+              if what == "broken"}  # fmt: skip
+    assert not broken, broken
+
+
+def test_drawn_messages_and_bags(tmp_path: Path) -> None:
+    """What a robot's topics say, and bags of any layout; ``make fuzz`` draws many more."""
+    pytest.importorskip("rosbags")
+    listed = []
+    for how, count in (("node", 40), ("layout", 12)):
+        for seed in range(count):
+            file = tmp_path / f"{how}-{seed}"
+            file.write_bytes(random.Random(seed).randbytes(600))
+            listed.append((file.name, how, file))
     broken = {name: text for name, (what, text) in open_all(listed, tmp_path).items()
               if what == "broken"}  # fmt: skip
     assert not broken, broken

@@ -41,6 +41,26 @@ def test_it_restarts_at_its_last_pose_where_it_was_lost(plaza: Plaza) -> None:
     assert odometry.add(Scan(np.zeros((5, 3))), 3701.1) == [] and odometry.losses == 2
 
 
+def test_times_that_are_all_equal_are_no_motion(plaza: Plaza) -> None:
+    timed, plain = LidarOdometry(), LidarOdometry()
+    for k in range(3):
+        scan = plaza.scan(geometry.yaw_transform(0.0, (0.5 * k, 0.0, 1.8)), posed=False, seed=k)
+        ((_, expected),) = plain.add(Scan(scan.points), 100.0 + 0.1 * k)
+        *_, (_, T) = timed.add(Scan(scan.points, times=np.full(len(scan), 0.02)), 100.0 + 0.1 * k)
+        assert np.array_equal(T, expected)
+
+
+def test_a_loss_after_the_clock_was_set_back_has_the_new_time(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    core = LiveCore(localizer)
+    pose = geometry.yaw_transform(0.0, (0.0, 0.0, 1.8))
+    core.add_odometry(5000.0, pose)
+    core.add_scan(plaza.scan(pose, posed=False, seed=0), 5000.0)
+    core.add_scan(plaza.scan(pose, posed=False, seed=0), 100.0)
+    assert core.report_lost_motion("no scans").stamp == 100.0
+
+
 def test_a_robot_without_odometry_is_followed_by_its_lidar(
     localizer: Localizer, plaza: Plaza
 ) -> None:

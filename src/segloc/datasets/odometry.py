@@ -122,7 +122,9 @@ class ScanOdometry:
             raise InvalidScan(f"only {len(scan)} points: odometry is lost")
         times, last = np.empty(0), 0.0
         if scan.times is not None and times_fit(scan):
-            times, last = scan.times, float(scan.times.max())
+            last = float(scan.times.max())
+            # Of times that are all equal KISS-ICP divides by zero, and ends the process.
+            times = scan.times if scan.times.min() < last else times
         self._registration.register_frame(scan.points.astype(np.float64), times)
         pose = np.array(self._registration.last_pose, dtype=np.float64)
         if fault := self._fault(pose):

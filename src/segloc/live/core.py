@@ -347,7 +347,10 @@ class LiveCore:
         self._waiting.clear()
         self._due = None
         self.tracker.follow_jump(jump.T_new_old, jump.text)
-        return [self._report(self._odometry.newest)]
+        newest = self._odometry.newest
+        if newest == -math.inf:  # cleared with its clock
+            newest = self.state.stamp if self._newest == -math.inf else self._newest
+        return [self._report(newest)]
 
     def _set_clock(self, now: float) -> None:
         """Handle stamps that went back: drop waiting scans, and odometry of the other clock."""
