@@ -156,7 +156,9 @@ class BagWriter:
         quaternion = self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
         return dict(zip("xyz", T[:3, 3].tolist(), strict=True)), quaternion
 
-    def odometry(self, topic: str, stamp: float, T: Float64, child: str) -> None:
+    def odometry(
+        self, topic: str, stamp: float, T: Float64, child: str, world: str = "odom"
+    ) -> None:
         xyz, quaternion = self._transform(T)
         point = self.make("geometry_msgs/msg/Point", **xyz)
         pose = self.make("geometry_msgs/msg/Pose", position=point, orientation=quaternion)
@@ -165,7 +167,7 @@ class BagWriter:
         spread = "geometry_msgs/msg/"
         message = self.make(
             ODOMETRY,
-            header=self.header(stamp, "odom"), child_frame_id=child,
+            header=self.header(stamp, world), child_frame_id=child,
             pose=self.make(f"{spread}PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=self.make(f"{spread}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )  # fmt: skip

@@ -217,6 +217,8 @@ class Found:
     own_poses: Callable[[Path], Track | None] = field(default=lambda path: None, repr=False)
     # the recording's own poses of a body on which the sensor's mount is unknown
     base_track: Track | None = field(default=None, repr=False)
+    # the poses of a moving body in the frame of the points, if that frame seems to be a world's
+    body_in_frame: Track | None = field(default=None, repr=False)
     T_base_sensor: Pose | None = None  # (4, 4) mount of the sensor, if recorded
     gravity: GravitySource | None = None
     times_sure: bool = True  # True if the format defines the unit of point times

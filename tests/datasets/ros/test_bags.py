@@ -414,3 +414,62 @@ def test_messages_that_are_compressed_singly_without_metadata(tmp_path: Path) ->
             database.execute("UPDATE messages SET data = ? WHERE id = ?", (packed, number))
     database.close()
     np.testing.assert_allclose(open_sequence(path).scan(5).points, DRIVE.seen(5), atol=1e-5)
+
+
+# --- clouds in a world's frame --------------------------------------------------------------------
+
+ROOM = np.random.default_rng(4).uniform((-20, -15, 0), (30, 15, 5), (40, 3))
+"""Corners of boxes about a drive, 40 cm wide."""
+
+
+def room_seen(T: Float64) -> Float64:
+    """Points on the boxes as a sensor at T sees them, not the same each time."""
+    rng = np.random.default_rng(int(1000 * abs(T[0, 3])))
+    points = ROOM[rng.integers(0, len(ROOM), 6000)] + rng.uniform(0, 2.0, (6000, 3))
+    return geometry.transform(geometry.inverse(T), points)
+
+
+def world_bag(names: str, poses: Float64, *, by_tf: bool) -> BagWriter:
+    """Clouds of FAST-LIO: registered, in the world; in the body's frame; or mislabelled ones."""
+    bag = BagWriter("sqlite3")
+    for k, T in enumerate(poses):
+        stamp = START + 0.1 * k
+        seen = room_seen(T)
+        if "world" in names:
+            bag.cloud("/cloud_registered", stamp, geometry.transform(T, seen), "camera_init")
+        if "body" in names:
+            bag.cloud("/cloud_registered_body", stamp, seen, "body")
+        if "mislabelled" in names:
+            turned = matrix((0.3, 0.0, 0.5), (0.0, 0.0, 2.0))  # the mount of the sensor
+            bag.cloud("/points", stamp, geometry.transform(turned, seen), "camera_init")
+        if by_tf:
+            bag.tf("/tf", stamp, T, "camera_init", "body")
+        else:
+            bag.odometry("/Odometry", stamp, T, "body", "camera_init")
+    return bag
+
+
+DRIVEN = np.stack([matrix((0.8 * k, 0.0, 1.0), (0.0, 0.0, 0.05 * k)) for k in range(12)])
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_clouds_in_a_worlds_frame_are_refused(by_tf: bool, tmp_path: Path) -> None:
+    path = world_bag("world", DRIVEN, by_tf=by_tf).write(tmp_path / "world")
+    for poses in (None, "none"):  # with any poses, so for --odometry, too
+        with pytest.raises(DatasetError, match=r"/cloud_registered.*'camera_init'.*record the"):
+            open_sequence(path, poses)
+    both = world_bag("world body", DRIVEN, by_tf=by_tf).write(tmp_path / "both")
+    with pytest.raises(DatasetError, match="use --topic /cloud_registered_body"):
+        open_sequence(both, topic="/cloud_registered")
+    body = open_sequence(both, topic="/cloud_registered_body")
+    np.testing.assert_allclose(body.poses, DRIVEN, atol=1e-4)
+
+
+def test_clouds_of_the_sensor_are_read_whatever_their_frame_is_called(tmp_path: Path) -> None:
+    path = world_bag("mislabelled", DRIVEN, by_tf=False).write(tmp_path / "drive")
+    sequence = open_sequence(path)
+    assert len(sequence) == 12
+    assert any("local_cloud.mount" in note for note in sequence.notes)
+    still = np.tile(DRIVEN[:1], (12, 1, 1))  # clouds of a robot at rest are the same in any frame
+    parked = world_bag("world", still, by_tf=True).write(tmp_path / "parked")
+    assert len(open_sequence(parked)) == 12

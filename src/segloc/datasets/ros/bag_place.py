@@ -25,21 +25,36 @@ if TYPE_CHECKING:
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
-def _find_tracks(
-    reader: BagReader, edges: Edges, frame: str, remarks: list[str]
-) -> tuple[Track | None, Track | None]:
+_WORLDS = frozenset({"map", "odom", "world", "earth", "camera_init"})
+"""Usual names of frames that do not move with the robot (REP 105, LOAM)."""
+_MIN_TRAVEL_M = 2.0  # of a body in a world's frame; joints and wheels move less
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """Tracks of a frame: its own, else that of a body with unknown mount, or of one in it."""
+
+    own: Track | None = None
+    base: Track | None = None
+    body: Track | None = None
+
+
+def _find_tracks(reader: BagReader, edges: Edges, frame: str, remarks: list[str]) -> _Tracks:
     """Return the track of a frame, or else of a body on which its mount is unknown.
 
     Prefer the odometry with the most messages on whose body the frame is mounted; else the chain
-    from the frame to the root of tf, if it moves.
+    from the frame to the root of tf, if it moves. The frame of an odometry is that of a world.
     """
     base: Track | None = None
     for topic in fullest_topics(reader, _ODOMETRY):
         with optional(topic, remarks):
-            stamps, poses, body = _read_odometry(reader, topic)
+            stamps, poses, body, world = _read_odometry(reader, topic)
+            if frame != body and frame in {world, *_WORLDS}:
+                track = clean_track(topic, stamps, poses)
+                return _Tracks(base=track, body=track)
             T_body_sensor = mount(edges, body, frame)
             if T_body_sensor is not None:
-                return clean_track(topic, stamps, poses @ T_body_sensor), None
+                return _Tracks(own=clean_track(topic, stamps, poses @ T_body_sensor))
             base = base or clean_track(topic, stamps, poses)
             remarks.append(
                 f"no transform {body} -> {frame} in the bag, so {topic} is not used: record "
@@ -48,28 +63,46 @@ def _find_tracks(
     track: Track | None = None
     with optional("tf", remarks):
         track = _tf_track(edges, frame)
-    return track, base if track is None else None
+        if track is None and (body := _body_in(edges, frame)) is not None:
+            return _Tracks(base=base, body=body)
+    return _Tracks(track, base if track is None else None)
 
 
-def _read_odometry(reader: BagReader, topic: str) -> tuple[Float64, Float64, str]:
-    """Return stamps (K,), poses (K, 4, 4), NaN where invalid, and the frame of the body."""
-    stamps, rows, bodies = [], [], set()
+def _body_in(edges: Edges, frame: str) -> Track | None:
+    """Return the track of the body that travels farthest in a frame, by tf."""
+    tracks = [
+        track
+        for child in edges
+        if chain(edges, child, frame) and (track := _tf_track(edges, child, frame)) is not None
+    ]
+    longest = max(tracks, key=_extent, default=None)
+    return longest if longest is not None and _extent(longest) > _MIN_TRAVEL_M else None
+
+
+def _extent(track: Track) -> float:
+    return float(np.ptp(track.poses[:, :3, 3], axis=0).max())
+
+
+def _read_odometry(reader: BagReader, topic: str) -> tuple[Float64, Float64, str, str]:
+    """Return stamps (K,), poses (K, 4, 4), NaN where invalid, and the frames of body and world."""
+    stamps, rows, bodies, world = [], [], set(), ""
     for message, logged in messages_of(reader, topic):
         stamps.append(seconds(message.header.stamp) or logged * 1e-9)
         pose = message.pose.pose
         rows.append(row(pose.position, pose.orientation))
         bodies.add(frame_name(message.child_frame_id))
+        world = frame_name(message.header.frame_id)
     if len(bodies) > 1:
         raise DatasetError(f"{topic}: poses of several frames: {', '.join(sorted(bodies))}")
     values = np.array(rows)
     good = np.array([is_pose(each) for each in rows], dtype=bool)
     poses = np.full((len(rows), 4, 4), np.nan)
     poses[good] = quaternion_poses(values[good, :3], values[good, 3:], topic)
-    return np.array(stamps), poses, bodies.pop()
+    return np.array(stamps), poses, bodies.pop(), world
 
 
-def _tf_track(edges: Edges, frame: str) -> Track | None:
-    edges_up = chain(edges, frame) or []
+def _tf_track(edges: Edges, frame: str, until: str | None = None) -> Track | None:
+    edges_up = chain(edges, frame, until) or []
     moving = [edge for edge in edges_up if not edge.static and len(edge.stamps) > 1]
     if not moving:
         return None
@@ -185,7 +218,7 @@ def placed(
     frame = found.frame
     edges, lost = read_tf(reader)
     remarks: list[str] = []
-    track, base = _find_tracks(reader, edges, frame, remarks)
+    tracks = _find_tracks(reader, edges, frame, remarks)
     T = mount_on_base(edges, frame)
     remarks += lost
     imu = None
@@ -195,8 +228,9 @@ def placed(
     gravity = imu and BagGravity(BagFile(paths), *imu, stamps, logged, up)
     return replace(
         found,
-        own_track=lambda: track,
-        base_track=base,
+        own_track=lambda: tracks.own,
+        base_track=tracks.base,
+        body_in_frame=tracks.body,
         T_base_sensor=T,
         gravity=gravity,
         notes=(*found.notes, *remarks),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -20,6 +21,7 @@ from ...errors import DatasetError
 from ...types import Float64, Int64, Scan
 from ..recorded import Found
 from ..tracks import rising
+from ..world_clouds import stand_still
 from . import bag_ouster
 from .bag_file import BagFile, connections_of, faults_of, opened
 from .bag_messages import KINDS, defines_times, fields_of, instead_of, scan_of
@@ -198,7 +200,35 @@ def find(path: Path, topic: str | None) -> Found:
             notes=(*lost, *notes),
             times_sure=defines_times(reader, chosen),
         )
-        return placed(found, reader, paths, headers.stamps, headers.logged)
+        found = placed(found, reader, paths, headers.stamps, headers.logged)
+        if (body := found.body_in_frame) is None:
+            return found
+        if stand_still(found, body):
+            raise DatasetError(
+                f"{path}: the clouds of {chosen} are in {found.frame!r}, the frame of "
+                f"{body.source}, not in the sensor's: {_raw_topics(reader, chosen, found.frame)}"
+            )
+        note = (
+            f"{chosen} is in {found.frame!r}, in which {body.source} moves: poses not used. Name the "
+            "sensor's frame or set local_cloud.mount; if the clouds lie in that frame indeed, use "
+            "the raw topic"
+        )
+        return replace(found, notes=(*found.notes, note))
+
+
+def _raw_topics(reader: BagReader, topic: str, frame: str) -> str:
+    """Return how to get clouds in another frame than that of a topic."""
+    others = {}
+    for name in _counts(reader, tuple(kind for group in KINDS[:3] for kind in group)):
+        first = next(iter(reader.messages(connections_of(reader, name))), None)
+        if name != topic and first is not None:
+            with suppress(struct.error, IndexError):
+                other = (_parse_cdr if reader.cdr else _parse_ros1)(first[2][:_HEAD])[1]
+                others[name] = other
+    raw = sorted(name for name, other in others.items() if other != frame)
+    if raw:
+        return f"use --topic {' or '.join(raw)}"
+    return "record the sensor's raw topic, or the one in the body's frame"
 
 
 def _lost(reader: BagReader, topic: str, count: int) -> list[str]:
