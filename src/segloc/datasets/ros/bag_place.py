@@ -50,8 +50,8 @@ def _find_tracks(reader: BagReader, edges: Edges, frame: str, remarks: list[str]
         with optional(topic, remarks):
             stamps, poses, body, world = _read_odometry(reader, topic)
             if frame != body and frame in {world, *_WORLDS}:
-                track = clean_track(topic, stamps, poses)
-                return _Tracks(base=track, body=track)
+                body_track = clean_track(topic, stamps, poses)
+                return _Tracks(base=body_track, body=body_track)
             T_body_sensor = mount(edges, body, frame)
             if T_body_sensor is not None:
                 return _Tracks(own=clean_track(topic, stamps, poses @ T_body_sensor))
@@ -63,8 +63,8 @@ def _find_tracks(reader: BagReader, edges: Edges, frame: str, remarks: list[str]
     track: Track | None = None
     with optional("tf", remarks):
         track = _tf_track(edges, frame)
-        if track is None and (body := _body_in(edges, frame)) is not None:
-            return _Tracks(base=base, body=body)
+        if track is None and (inside := _body_in(edges, frame)) is not None:
+            return _Tracks(base=base, body=inside)
     return _Tracks(track, base if track is None else None)
 
 

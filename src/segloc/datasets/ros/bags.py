@@ -209,9 +209,9 @@ def find(path: Path, topic: str | None) -> Found:
                 f"{body.source}, not in the sensor's: {_raw_topics(reader, chosen, found.frame)}"
             )
         note = (
-            f"{chosen} is in {found.frame!r}, in which {body.source} moves: poses not used. Name the "
-            "sensor's frame or set local_cloud.mount; if the clouds lie in that frame indeed, use "
-            "the raw topic"
+            f"{chosen} is in {found.frame!r}, in which {body.source} moves: poses not used. Name "
+            "the sensor's frame or set local_cloud.mount; if the clouds lie in that frame, use the "
+            "raw topic"
         )
         return replace(found, notes=(*found.notes, note))
 
