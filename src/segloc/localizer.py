@@ -5,17 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
-from .frontend.local_cloud import Accumulator, Scans, listed
+from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
 from .likelihood import Likelihood, Scorer
 from .localization import Localization
 from .map.segment_map import SegmentMap
-from .pipeline import Proposed, Search, answer, explained
+from .pipeline import Proposed, Search, answer
 from .prior import Near, Prior, allowed, within
 from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher
@@ -26,42 +26,20 @@ from .system.stage_times import Clock, StageTimes
 from .types import Candidate, Float64, LocalCloud, Pose
 
 
-class TileSearch(Protocol):
-    """Searches the tiles of a map that a query may be in."""
-
-    def search(
-        self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
-    ) -> Search: ...
-
-    def around(self, position: Float64) -> Localizer | None: ...
-
-
-class InTiles(Protocol):
-    """A tiled map that provides its own search, such as :class:`segloc.tiles.TiledMap`."""
-
-    def coarse(self) -> SegmentMap:
-        """Return the thin map of all tiles."""
-        ...
-
-    def search(self, coarse: Localizer) -> TileSearch:
-        """Return the search in tiles, with the settings of a localizer in the thin map."""
-        ...
-
-
 class Localizer:
     """Finds the pose of the sensor in a prior map, without an initial guess.
 
     Parameters
     ----------
-    prior_map : SegmentMap or TiledMap
-        Of a tiled map, the tiles near the prior are fetched and searched as one; without a prior,
-        those with most votes in a thin map of all tiles.
+    prior_map : SegmentMap
+        For tiles, see :class:`segloc.tiles.TiledLocalizer`.
     config : Config, optional
         By default the configuration of the map.
     estimator : Estimator, optional
         Estimates poses from matches of segments; by default that of ``config.pose``.
     proposers : sequence of Proposer, optional
-        Tried in order if segments are inconclusive; by default stems, then occupancy.
+        Tried in order if segments are inconclusive; by default those of ``config.proposers``, then
+        occupancy.
     likelihood : Likelihood, optional
         Compares clouds at poses; by default that of the map's own cloud.
     clock : callable
@@ -70,8 +48,6 @@ class Localizer:
     Attributes
     ----------
     prior_map : SegmentMap
-        Of a tiled map, the thin map of all tiles.
-    tiles : TiledMap or None
     notes : tuple of str
         Differences of the configuration from that of the map, and from that of the fit of the
         confidence.
@@ -82,9 +58,7 @@ class Localizer:
     MapMismatch
         If the map has descriptors of another method, version or weights.
     ConfigError
-        If it is not given a map, or given proposers or a likelihood for tiles.
-    MapFormatError
-        If the thin map of all tiles cannot be read.
+        If it is not given a map, or there is no proposer of a name in ``config.proposers``.
 
     Notes
     -----
@@ -93,7 +67,7 @@ class Localizer:
 
     def __init__(
         self,
-        prior_map: SegmentMap | InTiles,
+        prior_map: SegmentMap,
         config: Config | None = None,
         *,
         estimator: Estimator | None = None,
@@ -101,13 +75,12 @@ class Localizer:
         likelihood: Likelihood | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
+        if not isinstance(prior_map, SegmentMap):
+            raise ConfigError(
+                f"a Localizer needs a SegmentMap, not {type(prior_map).__name__}: load one by "
+                "SegmentMap.load(path), or pass tiles to segloc.tiles.TiledLocalizer"
+            )
         self._given = estimator, proposers, likelihood, clock
-        self.tiles = None if isinstance(prior_map, SegmentMap) else _tiles(prior_map)
-        if self.tiles is not None:
-            if proposers is not None or likelihood is not None:
-                raise ConfigError("proposers and likelihood are not supported for tiled maps")
-            prior_map = self.tiles.coarse()
-        assert isinstance(prior_map, SegmentMap)
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
         self.prior_map, self.config, self.clock = prior_map, config, clock
@@ -130,33 +103,10 @@ class Localizer:
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.proposers = _proposers(prior_map, config) if proposers is None else tuple(proposers)
         self.likelihood = likelihood or _likelihood(prior_map, config)
-        self._tile_search = None if self.tiles is None else self.tiles.search(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the map and the configuration; unpickling builds a new localizer."""
-        return _restored, (self.tiles or self.prior_map, self.config, *self._given)
-
-    def require_untiled(self) -> Localizer:
-        """Return this localizer.
-
-        Raises
-        ------
-        ConfigError
-            If the map is tiled.
-        """
-        if self.tiles is not None:
-            raise ConfigError("tiled maps are not supported here; pass a .segmap file")
-        return self
-
-    def around(self, position: Float64) -> Localizer | None:
-        """Return the localizer of the map around a (3,) position; of tiles, that of the tile there.
-
-        Raises
-        ------
-        MapFormatError
-            If the tile cannot be read; names its file.
-        """
-        return self if self._tile_search is None else self._tile_search.around(position)
+        return _restored, (self.prior_map, self.config, *self._given)
 
     def localize(
         self,
@@ -185,17 +135,9 @@ class Localizer:
             If several scans have no poses, or the type is wrong. Never raised for "not found".
         ConfigError
             If ``near`` is not a prior.
-        MapFormatError
-            If a required tile is missing, damaged or too slow to fetch; names its file. There is no
-            answer from the other tiles alone: it might be ambiguous.
         """
         times, prior = StageTimes(self.clock), Prior.of(near)
-        result = self.locate(self.describe(scans, times), times, deadline_ms, prior)
-        if result.localized:
-            return result
-        given = [] if isinstance(scans, LocalCloud) else listed(scans)
-        radius_m = self.config.local_cloud.radius_m
-        return explained(result, given, self.prior_map, radius_m, prior)
+        return self.locate(self.describe(scans, times), times, deadline_ms, prior)
 
     def describe(self, scans: Scans | LocalCloud, times: StageTimes | None = None) -> Query:
         """Compute the query: scans -> local cloud -> segments -> descriptors."""
@@ -218,16 +160,30 @@ class Localizer:
         near: Prior | None = None,
     ) -> Localization:
         """Localize a query, the second half of :meth:`localize`."""
+        return self.answer(query, times, deadline_ms, near)[1]
+
+    def answer(
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
+    ) -> tuple[Search, Localization]:
+        """Search the map for a query and explain the result; every caller's queries end here."""
         times = times or StageTimes(self.clock)
         found = self.search(query, times, deadline_ms, near)
-        result = answer(query, found, times.with_total())
+        result = answer(query, found, times.with_total(), self.config.local_cloud.radius_m)
         if result.localized or not found.posterior.repeats(self.config.verification.min_confidence):
-            return result
+            return found, result
         one, other = (place.T_map_sensor for place in result.places[:2])
         here = self.around(one[:3, 3])
         if here is None:
-            return result
-        return replace(result, next_view=here.likelihood.cloud.next_view(one, other))
+            return found, result
+        return found, replace(result, next_view=here.likelihood.cloud.next_view(one, other))
+
+    def around(self, position: Float64) -> Localizer | None:
+        """Return the localizer of the map around a (3,) position; None if there is no map."""
+        return self
 
     def search(
         self,
@@ -250,19 +206,8 @@ class Localizer:
         near : Prior, optional
         thorough : bool
             Use all proposers and measure everything, to fit the model.
-
-        Raises
-        ------
-        ConfigError
-            If the map is tiled, and ``thorough``.
-        MapFormatError
-            If a required tile cannot be read; names its file.
         """
         times = times or StageTimes(self.clock)
-        if self._tile_search is not None:
-            if thorough:
-                self.require_untiled()
-            return self._tile_search.search(query, times, deadline_ms, near)
         scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
         min_confidence = self.config.verification.min_confidence
         found: Search | None = None
@@ -271,7 +216,9 @@ class Localizer:
                 continue
             with times("verification"):
                 posterior = scorer.fit(proposed.candidates, proposed.inliers, thorough=thorough)
-            found = Search.of(proposed, posterior, scorer.fits, min_confidence, near)
+            found = Search.of(
+                self.prior_map, proposed, posterior, scorer.fits, min_confidence, near
+            )
             if found.reason is None and not thorough:
                 return found
         assert found is not None  # the last proposals always suffice
@@ -329,15 +276,6 @@ class Localizer:
         return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
 
 
-def _tiles(given: InTiles) -> InTiles:
-    if not (callable(getattr(given, "coarse", None)) and callable(getattr(given, "search", None))):
-        raise ConfigError(
-            f"a Localizer needs a SegmentMap or a TiledMap, not {type(given).__name__}: "
-            "load one by SegmentMap.load(path) or segloc.tiles.TiledMap(place)"
-        )
-    return given
-
-
 def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
     """Return the enabled proposers, in order of use."""
     cloud, found = prior_map.voxel_cloud, list[Proposer]()
@@ -369,7 +307,7 @@ def _counted(candidates: Sequence[Candidate], inliers: Callable[[Pose], int]) ->
 
 
 def _restored(
-    prior_map: SegmentMap | InTiles,
+    prior_map: SegmentMap,
     config: Config,
     estimator: Estimator | None,
     proposers: Sequence[Proposer] | None,

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from . import geometry
-from .frontend.reach import reach_fault
 from .likelihood import Observation, Posterior
 from .localization import Localization, Localized, NotLocalized, Place, Reason
 from .map.segment_map import SegmentMap
 from .prior import Prior
 from .proposals.proposer import Query
-from .types import Candidate, LocalCloud, Matches, Pose, Scan
+from .types import Candidate, LocalCloud, Matches, Pose
 
 NOT_FLAT = (
     "unknown attitude (too few flat surfaces to estimate roll and pitch, and not found as a level "
@@ -58,6 +57,8 @@ class Search:
 
     Attributes
     ----------
+    prior_map : SegmentMap
+        Map that was searched; of tiles, those that were.
     proposed : int
         Matches before pruning.
     matches : Matches
@@ -74,6 +75,7 @@ class Search:
         Prior that restricted the search; None for the whole map.
     """
 
+    prior_map: SegmentMap
     proposed: int
     matches: Matches
     candidates: list[Candidate]
@@ -86,6 +88,7 @@ class Search:
     @classmethod
     def of(
         cls,
+        prior_map: SegmentMap,
         proposed: Proposed,
         posterior: Posterior,
         fits: Sequence[Observation],
@@ -97,7 +100,7 @@ class Search:
         if not proposed.candidates:
             reason = Reason.NO_CONSISTENT_MATCHES
         message = posterior.message(min_confidence)
-        where = proposed.count, proposed.matches, proposed.candidates
+        where = prior_map, proposed.count, proposed.matches, proposed.candidates
         return cls(*where, posterior, reason, message, tuple(fits), near)
 
     @property
@@ -129,8 +132,10 @@ class Search:
         }
 
 
-def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Localization:
-    """Return the answer of a query.
+def answer(
+    query: Query, search: Search, times_ms: Mapping[str, float], radius_m: float
+) -> Localization:
+    """Return the answer of a query; a failure is explained by faults of scans, map or prior.
 
     Parameters
     ----------
@@ -138,6 +143,8 @@ def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Local
     search : Search
     times_ms : dict
         Time of each stage [ms].
+    radius_m : float
+        Range of the query's points [m].
     """
     posterior, T_local_sensor = search.posterior, query.cloud.T_local_sensor
     best, counts = posterior.best, search.counts(query)
@@ -157,7 +164,7 @@ def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Local
     if best is not None:
         common |= {name: getattr(best, name) for name in ("inliers", "overlap", "seen", "rmse")}
     if search.reason is not None or best is None:
-        return NotLocalized(**_why(search, query.cloud, counts), **common)
+        return NotLocalized(**_why(search, query.cloud, counts, radius_m), **common)
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
         covariance=geometry.rotated_covariance(best.covariance, T_local_sensor),
@@ -165,37 +172,16 @@ def answer(query: Query, search: Search, times_ms: Mapping[str, float]) -> Local
     )
 
 
-def explained(
-    result: NotLocalized,
-    scans: Sequence[Scan],
-    prior_map: SegmentMap,
-    radius_m: float,
-    near: Prior | None,
-) -> NotLocalized:
-    """Explain a failure by faults of the scans, the map or the prior, if there are any.
-
-    Parameters
-    ----------
-    result : NotLocalized
-    scans : list of Scan
-        Scans of the query; empty if it was given as a local cloud.
-    prior_map : SegmentMap
-    radius_m : float
-        Range of the query's points [m].
-    near : Prior or None
-        Prior of the search.
-    """
-    why = ""
-    if result.reason in (Reason.NO_POINTS, Reason.NO_SEGMENTS) and scans:
-        why = reach_fault(scans, radius_m)
-    elif not len(prior_map):
-        why = f"the map has no segments, and {len(prior_map.cloud)} points"
-    elif near is not None and result.reason is Reason.NOT_NEAR_PRIOR:
-        why = _off_the_map(near, prior_map, radius_m)
-    if not why:
-        return result
-    detail = f"{near}: {why}" if result.reason is Reason.NOT_NEAR_PRIOR else why
-    return replace(result, message=f"{result.reason} ({detail})")
+def _fault(search: Search, cloud: LocalCloud, reason: Reason, radius_m: float) -> str:
+    """Return the fault of the scans, the map or the prior behind a failure; "" if none is known."""
+    prior_map, near = search.prior_map, search.near
+    if reason in (Reason.NO_POINTS, Reason.NO_SEGMENTS) and cloud.fault:
+        return cloud.fault
+    if not len(prior_map):
+        return f"the map has no segments, and {len(prior_map.cloud)} points"
+    if near is not None and reason is Reason.NOT_NEAR_PRIOR:
+        return _off_the_map(near, prior_map, radius_m)
+    return ""
 
 
 def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
@@ -209,13 +195,20 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
     return f"the map is {away:.0f} m from there and spans {spans}: is the prior in its frame?"
 
 
-def _why(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+def _why(
+    search: Search, cloud: LocalCloud, counts: Mapping[str, int], radius_m: float
+) -> dict[str, Any]:
     """Return the reason of the first stage without results, or else the posterior's."""
     why, near = _why_anywhere(search, cloud, counts), search.near
-    if near is None or why["reason"] in _OF_THE_QUERY:
-        return why
-    message = f"{Reason.NOT_NEAR_PRIOR} ({near}: {why['message']})"
-    return {"reason": Reason.NOT_NEAR_PRIOR, "message": message}
+    reason, message = why["reason"], why["message"]
+    if near is not None and reason not in _OF_THE_QUERY:
+        reason = Reason.NOT_NEAR_PRIOR
+    fault = _fault(search, cloud, reason, radius_m)
+    if reason is Reason.NOT_NEAR_PRIOR:
+        message = f"{reason} ({near}: {fault or message})"
+    elif fault:
+        message = f"{reason} ({fault})"
+    return {"reason": reason, "message": message}
 
 
 def _why_anywhere(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:

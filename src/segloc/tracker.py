@@ -16,6 +16,7 @@ from .errors import InvalidScan
 from .frontend.local_cloud import Scans
 from .frontend.rolling_cloud import RollingCloud
 from .likelihood import ScoredPose
+from .localization import Localization
 from .localizer import Localizer
 from .pipeline import Search
 from .prior import Prior
@@ -25,8 +26,8 @@ from .system.stage_times import StageTimes
 from .tracking.belief import Belief, BeliefConfig, Reading, Status, View
 from .types import Float64, LocalCloud, Pose, Scan
 
-QueryCallback = Callable[[Query, Search, Mapping[str, float]], None]
-"""Receives a query, the result of its search, and the time of each stage [ms]."""
+QueryCallback = Callable[[Query, Search, Localization], None]
+"""Receives a query, the result of its search, and the answer."""
 
 _MIN_RATIO_TERM = 1e-300
 _MAX_CHECKED, _MIN_CHECKED_P = 3, 0.01
@@ -222,9 +223,9 @@ class Tracker:
         if request.search:
             times = StageTimes(localizer.clock)
             query = localizer.describe(request.scans, times)
-            found = localizer.search(query, times, deadline_ms, near)
+            found, result = localizer.answer(query, times, deadline_ms, near)
             if callback is not None:
-                callback(query, found, times.with_total())
+                callback(query, found, result)
             posterior = found.posterior
             view = replace(
                 view,

@@ -286,6 +286,8 @@ class LocalCloud:
         Source of the roll and pitch in ``T_local_sensor``.
     voxel_size : float or None
         Edge of the voxel grid with one point per voxel, in order [m]; None if unknown.
+    fault : str
+        Why hardly any point of the scans is within reach; "" if enough are.
 
     Raises
     ------
@@ -300,6 +302,7 @@ class LocalCloud:
     stamp: float | None = None
     attitude: AttitudeSource = "given"
     voxel_size: float | None = None
+    fault: str = ""
 
     def __post_init__(self) -> None:
         checked = {

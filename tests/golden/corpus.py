@@ -367,7 +367,7 @@ def _tiles() -> Cases:
         doors.cut_tiles(prior_map, folder, size_m=50.0, margin_m=30.0)
         tiles = doors.TiledMap(folder)
         yield "tiles", {"inputs": inputs, "count": len(tiles), **of_map(tiles.coarse())}
-        yield from localized(Localizer(tiles, config()), queries("town"), inputs)
+        yield from localized(doors.TiledLocalizer(tiles, config()), queries("town"), inputs)
 
 
 @group("align")

@@ -38,7 +38,7 @@ from segloc.loops import LoopConfig
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.proposals.landmarks import LandmarkLocalizer, find_stems
-from segloc.tiles import TiledMap, cut_tiles
+from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
 from segloc.tracker import TrackerConfig
 
 __all__ = [
@@ -61,6 +61,7 @@ __all__ = [
     "Scan",
     "SegmentMap",
     "SimulatedSequence",
+    "TiledLocalizer",
     "TiledMap",
     "Tracker",
     "TrackerConfig",

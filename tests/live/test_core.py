@@ -179,8 +179,9 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
         requested, near=Prior(truth[:2, 3], 10.0), callback=lambda *it: heard.append(it)
     )
     assert core.answer(requested, view).status is Status.LOCALIZED
-    ((query, search, times),) = heard
+    ((query, search, result),) = heard
     assert len(query.scene.segments) and search.posterior.best is not None
+    times = result.times_ms
     assert times["total"] == pytest.approx(sum(times.values()) / 2) and search.near is not None
 
 

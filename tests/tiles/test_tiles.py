@@ -19,10 +19,17 @@ from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.segment_map import along, replaced
 from segloc.map.update import update_map
-from segloc.tiles import TiledMap, cut_tiles, merge_into_tiles, tiled_map, update_tiles
+from segloc.tiles import (
+    TiledLocalizer,
+    TiledMap,
+    cut_tiles,
+    merge_into_tiles,
+    tiled_map,
+    update_tiles,
+)
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
-from segloc.tiles.search import Recent
+from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
 from segloc.tracker import TrackerConfig
 
@@ -345,7 +352,7 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
     cut_tiles(plaza_map, tmp_path, size_m=50.0)
-    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     found, whole = localizer.localize(scan), Localizer(plaza_map).localize(scan)
     assert found.localized and np.allclose(found.T_map_sensor, whole.T_map_sensor, atol=0.02)
     near = localizer.localize(scan, near=((5.0, 0.0), 20.0))
@@ -357,7 +364,7 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
     for tile in localizer.tiles.index.tiles:
         (tmp_path / tile.file).unlink()
     with pytest.raises(MapFormatError, match="tile_"):
-        Localizer(TiledMap(tmp_path)).localize(scan)
+        TiledLocalizer(TiledMap(tmp_path)).localize(scan)
 
 
 @pytest.mark.slow
@@ -368,7 +375,7 @@ def test_a_robot_is_followed_from_tile_to_tile(
     tiles = TiledMap(tmp_path)
     assert len(tiles) > 1
     T_map_odom = geometry.yaw_transform(2.0, (300.0, 20.0, 1.0))
-    tracker = Tracker(Localizer(tiles), TrackerConfig(every_m=10.0))
+    tracker = Tracker(TiledLocalizer(tiles), TrackerConfig(every_m=10.0))
     for k in range(16):
         truth = geometry.yaw_transform(0.02 * k, (-15.0 + 2 * k, 1.0, 1.8))
         scan = plaza.scan(truth, posed=False, seed=k)
@@ -385,12 +392,12 @@ def test_a_localizer_in_tiles_is_one_like_others(
     plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
     cut_tiles(plaza_map, tmp_path, size_m=50.0)
-    localizer, scan = Localizer(TiledMap(tmp_path), GEO), plaza.scan(TRUE, seed=77)
+    localizer, scan = TiledLocalizer(TiledMap(tmp_path), GEO), plaza.scan(TRUE, seed=77)
     again = pickle.loads(pickle.dumps(localizer))
     a, b = localizer.localize(scan), again.localize(scan)
     assert a.localized and np.array_equal(a.T_map_sensor, b.T_map_sensor)
     assert len(localizer.tiles.recent) > 0
-    with pytest.raises(ConfigError, match="not supported here"):
+    with pytest.raises(ConfigError, match="thorough"):
         localizer.search(localizer.describe(scan), thorough=True)
 
 
@@ -417,14 +424,16 @@ def test_a_session_updates_the_tiles_that_it_reaches(
     assert np.array_equal(np.sort(found.centroids, axis=0), np.sort(expected.centroids, axis=0))
     new = np.setdiff1d(found.session, both.session)
     assert len(new) == 1
-    assert Localizer(after, GEO).localize(plaza.scan(TRUE, seed=77), near=((0, 0), 40)).localized
+    assert (
+        TiledLocalizer(after, GEO).localize(plaza.scan(TRUE, seed=77), near=((0, 0), 40)).localized
+    )
 
 
 @pytest.mark.slow
 def test_ambiguity_spans_tiles(plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path) -> None:
     many = repeated(plaza_map, *AWAY)
     index = cut_tiles(many, tmp_path, size_m=200.0)
-    localizer, scan = Localizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
+    localizer, scan = TiledLocalizer(TiledMap(tmp_path)), plaza.scan(TRUE, seed=77)
     assert len(index.tiles) > 10
     assert localizer.localize(scan).reason is Reason.AMBIGUOUS
     for shift in AWAY:
@@ -440,7 +449,7 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
     """No clouds are compared, and of all tiles only few are opened; but these must be there."""
     index = cut_tiles(repeated(plaza_map, *AWAY), tmp_path, size_m=100.0)
     elsewhere = Plaza(seed=4242).scan(TRUE, seed=77)
-    localizer, opened = Localizer(TiledMap(tmp_path)), list[str]()
+    localizer, opened = TiledLocalizer(TiledMap(tmp_path)), list[str]()
     plain = TiledMap.tile
 
     def tile(self: TiledMap, tile: Any) -> SegmentMap:
@@ -455,4 +464,4 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
     assert 0 < len(set(opened)) <= 4 < len(index.tiles)
     (tmp_path / opened[0]).unlink()
     with pytest.raises(MapFormatError, match=opened[0]):
-        Localizer(TiledMap(tmp_path)).localize(elsewhere)
+        TiledLocalizer(TiledMap(tmp_path)).localize(elsewhere)

@@ -20,11 +20,10 @@ from ..frontend.rolling_cloud import RecordedWindows
 from ..localization import Localization
 from ..localizer import Localizer
 from ..map.georeference import Georeference
-from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.processes import as_finished
 from ..system.stage_times import Clock, StageTimes
-from ..tiles import TiledMap, holds_tiles
+from ..tiles import localizer_in, open_map
 from ..types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
@@ -133,8 +132,7 @@ def query_clouds(
 @lru_cache(maxsize=2)
 def _opened(where: str, config: Config, run: str) -> Localizer:
     """Open a map once per process and run, since maps may be replaced between runs."""
-    prior_map = TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
-    return Localizer(prior_map, config)
+    return localizer_in(open_map(where), config)
 
 
 def _localized(

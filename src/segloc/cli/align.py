@@ -125,12 +125,13 @@ def _into_map(
     """Align sessions to the frame of the first path, a map."""
     from ..loops import align_to_map
     from ..loops.summary import summary_to_map
+    from ..tiles import open_map
 
     config, method, threads = chosen
     where, sequences = str(paths[0]), paths[1:]
     if not sequences:
         raise ConfigError(f"{where} is a map: pass the sessions to align after it")
-    prior_map = options.open_map(where)
+    prior_map = open_map(where)
     described = options.described(prior_map)
     if method not in (None, described.descriptor):
         raise MapMismatch(f"{where} has descriptor {described.descriptor!r}, not {method!r}")

@@ -47,14 +47,14 @@ def explain(
 
     from ..batch.run import query_clouds
     from ..inspect import trace
-    from ..map.segment_map import SegmentMap
     from ..system.files import checked_target
+    from ..tiles import open_map
     from .recording import open_recording
 
     if html is not None:
         checked_target(html)
     with busy("Loading the map"):
-        localizer = options.open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+        localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
     local = localizer.config.local_cloud
     recording = open_recording(scan, poses, topic=topic, mount=local.mount)
     position = _position(recording, select)
@@ -69,7 +69,7 @@ def explain(
         from ..system.files import write_text
 
         with busy("Drawing"):
-            write_text(html, page(found, localizer.prior_map, findings))
+            write_text(html, page(found, findings))
         print(f"\npictures: {html}")
 
 

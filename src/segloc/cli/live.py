@@ -78,14 +78,14 @@ def live(
     from ..datasets import NO_POSES
     from ..live import PoseKeeper
     from ..live.replay import play, summary
-    from ..map.segment_map import SegmentMap
+    from ..tiles import open_map
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder, write_together
 
     check_folder(out)
     if odometry and poses is not None:
         raise ConfigError("--odometry and --poses exclude each other")
-    localizer = options.open_localizer(SegmentMap.load(prior_map), config, threads, weights)
+    localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
     local = localizer.config.local_cloud
     poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(

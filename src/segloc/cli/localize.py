@@ -60,6 +60,7 @@ def localize(
     """
     from ..batch.score import Evaluation, Tolerance
     from ..system.processes import executing
+    from ..tiles import open_map
     from .queries import Queries, gnss_priors, localize_in_detail, query_positions, show_results
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
@@ -67,7 +68,7 @@ def localize(
     place = options.parsed_prior(near, radius, anywhere)
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
-        localizer = options.open_localizer(options.open_map(prior_map), config, threads, weights)
+        localizer = options.open_localizer(open_map(prior_map), config, threads, weights)
     prior, local = localizer.prior_map, localizer.config.local_cloud
     sequence = sequence.absolute() if cluster else sequence
     recording: Recording = open_recording(

@@ -211,14 +211,6 @@ def load_config(
     return _with(Config.load(path, method), threads, weights)
 
 
-def open_map(where: str) -> SegmentMap | TiledMap:
-    """Open a map file, or tiles."""
-    from ..map.segment_map import SegmentMap
-    from ..tiles import TiledMap, holds_tiles
-
-    return TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
-
-
 def described(prior_map: SegmentMap | TiledMap) -> SegmentMap:
     """Return the map, or of tiles the thin one."""
     from ..map.segment_map import SegmentMap
@@ -248,9 +240,9 @@ def open_localizer(
 
     Notes on the configuration are printed.
     """
-    from ..localizer import Localizer
+    from ..tiles import localizer_in
 
-    localizer = Localizer(prior_map, map_settings(prior_map, path, threads, weights))
+    localizer = localizer_in(prior_map, map_settings(prior_map, path, threads, weights))
     for line in localizer.notes:
         note(line)
     return localizer

@@ -23,6 +23,7 @@ from ..map.georeference import Georeference
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.text import counted
+from ..tiles import TiledLocalizer
 from ..types import Float64, Int64, Recording
 from .console import Update, busy, note, number, table
 from .results import error_rows, print_json, write_results
@@ -58,7 +59,7 @@ def localize_in_detail(
     from ..inspect.results import DEBUG, pack, stages_of
 
     localizer, recording = queries.localizer, queries.recording
-    if localizer.tiles is not None:
+    if isinstance(localizer, TiledLocalizer):
         raise ConfigError("--debug needs a map file: it does not support tiles")
     results, kept = [], {}
     clouds = run.query_clouds(recording, queries.positions, localizer.config, localizer.clock)

@@ -15,6 +15,7 @@ from ..system.section import Section
 from ..types import AttitudeSource, Float32, LocalCloud, Pose, Scan
 from .gravity import AttitudeConfig, AttitudeEstimator, angle_deg
 from .mounting import MountConfig
+from .reach import reach_fault
 
 _Z = np.array([0.0, 0.0, 1.0])
 
@@ -104,14 +105,17 @@ class Accumulator:
         T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
         clouds = [self._moved(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
         T_local_sensor = T_local_odom @ odometry_pose(anchor)
-        return LocalCloud(np.concatenate(clouds), T_local_sensor, len(scans), anchor.stamp)
+        points = np.concatenate(clouds)
+        fault = reach_fault(scans, len(points), self.config.radius_m)
+        return LocalCloud(points, T_local_sensor, len(scans), anchor.stamp, fault=fault)
 
     def _alone(self, scan: Scan) -> LocalCloud:
         """Return the local cloud of a scan without a pose."""
         up, attitude = self._up(scan)
         T_local_sensor = geometry.upright(up)
         points = self._moved(T_local_sensor, scan.points)
-        return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude)
+        fault = reach_fault([scan], len(points), self.config.radius_m)
+        return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude, fault=fault)
 
     def _up(self, scan: Scan) -> tuple[NDArray[np.float64], AttitudeSource]:
         has_gravity = scan.gravity is not None

@@ -32,15 +32,14 @@ def is_far_blob(points: Float32) -> bool:
     return bool(np.percentile(directions @ middle, 10) > np.cos(np.radians(_MAX_BLOB_DEG)))
 
 
-def reach_fault(scans: Sequence[Scan], radius_m: float) -> str:
-    """Explain why few points lie within a radius of their sensor; "" if enough do."""
+def reach_fault(scans: Sequence[Scan], near: int, radius_m: float) -> str:
+    """Explain why few points, ``near``, lie within a radius of their sensor; "" if enough do."""
+    if near > _MAX_STRAY * sum(len(scan.points) for scan in scans):
+        return ""
     points = np.concatenate([scan.points for scan in scans])
     dropped = sum(scan.dropped for scan in scans)
     if not len(points):
         return f"all {dropped} points are NaN or infinite" if dropped else "the scan is empty"
-    near = int(np.count_nonzero(np.hypot(points[:, 0], points[:, 1]) < radius_m))
-    if near > _MAX_STRAY * len(points):
-        return ""
     lie = "lies" if near < 2 else "lie"
     found = f"{near or 'none'} of {len(points)} points {lie} within {radius_m:g} m of the sensor"
     middle = median_range(points)

@@ -17,6 +17,7 @@ from ..system.checks import checked_pose, pose_if_given
 from ..system.stage_times import StageTimes
 from ..types import Float64, LocalCloud, Pose, Scan
 from .local_cloud import Accumulator, LocalCloudConfig, odometry_pose
+from .reach import reach_fault
 
 VOXEL_SIZE = 0.2
 """Edge of the lattice, metres: that of the voxel grid in which accumulated clouds are segmented."""
@@ -304,8 +305,16 @@ class ScanWindow:
         T_local_odom = geometry.inverse(geometry.levelled(anchor.T_odom_sensor))
         points = self._voxels.cloud(T_local_odom, self.config.radius_m)
         T_local_sensor = T_local_odom @ anchor.T_odom_sensor
+        fault = ""
+        if not len(points) and self._newest is not None:
+            fault = reach_fault([self._newest], 0, self.config.radius_m)
         return LocalCloud(
-            points, T_local_sensor, len(self._held), anchor.stamp, voxel_size=self.voxel_size
+            points,
+            T_local_sensor,
+            len(self._held),
+            anchor.stamp,
+            voxel_size=self.voxel_size,
+            fault=fault,
         )
 
 

@@ -35,7 +35,7 @@ _RADIUS_M = 50.0
 _SIZE_IN, _DPI = 6.0, 100
 
 
-def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
+def page(trace: Trace, findings: Sequence[str]) -> str:
     """Return HTML with the result, each stage in text and pictures, and parts of the confidence.
 
     Raises
@@ -47,7 +47,7 @@ def page(trace: Trace, prior_map: SegmentMap, findings: Sequence[str]) -> str:
     figures = "".join(
         f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
         f'{base64.b64encode(image).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
-        for caption, image in pictures(trace, prior_map)
+        for caption, image in pictures(trace)
     )
     parts = [(f"{part.log_odds:+.1f}", part.words) for part in trace.parts]
     if parts:
@@ -73,7 +73,7 @@ def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
     return f"<table>{''.join(cells)}</table>"
 
 
-def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
+def pictures(trace: Trace) -> list[tuple[str, bytes]]:
     """Return a caption and a PNG image for each stage with something to show."""
     drawn: list[tuple[str, Callable[[Axes], None]]] = [
         ("Ground (grey) and above-ground points", lambda axes: _ground(axes, trace)),
@@ -84,15 +84,15 @@ def pictures(trace: Trace, prior_map: SegmentMap) -> list[tuple[str, bytes]]:
         drawn += [
             (
                 "Matches, from segments at the best pose to segments of the map; inliers are green",
-                lambda axes: _matches(axes, trace, T, prior_map),
+                lambda axes: _matches(axes, trace, T),
             ),
             (
                 "The best pose: the cloud on the map; a red cross is the runner-up",
-                lambda axes: _placed(axes, trace, T, prior_map),
+                lambda axes: _placed(axes, trace, T),
             ),
             (
                 "Overlap: points on the map are green, others red",
-                lambda axes: _overlap(axes, trace, T, prior_map),
+                lambda axes: _overlap(axes, trace, T),
             ),
         ]
     return [(caption, _drawn(draw)) for caption, draw in drawn]
@@ -131,11 +131,11 @@ def _map_below(axes: Axes, middle: Float64, prior_map: SegmentMap) -> None:
     _around(axes, middle)
 
 
-def _matches(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
+def _matches(axes: Axes, trace: Trace, T: Pose) -> None:
     middle = T[:3, 3]
-    _map_below(axes, middle, prior_map)
+    _map_below(axes, middle, trace.prior_map)
     here = geometry.transform(T, trace.segments.centroids)[trace.pairs[:, 0]]
-    there = prior_map.centroids[trace.pairs[:, 1]]
+    there = trace.prior_map.centroids[trace.pairs[:, 1]]
     for fits, color, alpha, width in ((False, RED, 0.25, 0.6), (True, GREEN, 1.0, 1.6)):
         chosen = trace.inliers == fits
         lines = np.full((3 * int(chosen.sum()), 2), np.nan)
@@ -144,8 +144,8 @@ def _matches(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
         dots(axes, here[chosen], s=16 if fits else 8, color=color, zorder=5)
 
 
-def _placed(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
-    _map_below(axes, T[:3, 3], prior_map)
+def _placed(axes: Axes, trace: Trace, T: Pose) -> None:
+    _map_below(axes, T[:3, 3], trace.prior_map)
     placed = geometry.transform(T, trace.structure)
     dots(axes, placed, s=0.8, color=ORANGE)
     other = trace.result.places[1] if len(trace.result.places) > 1 else None
@@ -153,8 +153,8 @@ def _placed(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
         axes.plot(*other.T_map_sensor[:2, 3], marker="x", ms=9, color=RED)
 
 
-def _overlap(axes: Axes, trace: Trace, T: Pose, prior_map: SegmentMap) -> None:
-    _map_below(axes, T[:3, 3], prior_map)
+def _overlap(axes: Axes, trace: Trace, T: Pose) -> None:
+    _map_below(axes, T[:3, 3], trace.prior_map)
     placed = geometry.transform(T, trace.structure)
     for lies, color in ((True, GREEN), (False, RED)):
         dots(axes, placed[trace.on_map == lies], s=1.0, color=color)

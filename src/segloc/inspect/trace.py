@@ -14,7 +14,8 @@ from .. import geometry
 from ..likelihood import FEATURES, Model, Observation
 from ..localization import Localization, Reason
 from ..localizer import Localizer
-from ..pipeline import Search, answer
+from ..map.segment_map import SegmentMap
+from ..pipeline import Search
 from ..prior import Prior
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
@@ -62,6 +63,8 @@ class Trace:
         segment.
     inliers : (K,) bool
         Which of them fit the best pose.
+    prior_map : SegmentMap
+        Map that was searched; of tiles, those that were.
     T_map_local : (4, 4) float64 or None
         The best pose, accepted or not.
     on_map : (S,) bool
@@ -80,6 +83,7 @@ class Trace:
     segments: Segments
     pairs: Int64
     inliers: Bools
+    prior_map: SegmentMap
     T_map_local: Pose | None
     on_map: Bools
     constant: float
@@ -95,9 +99,8 @@ def trace(
 ) -> Trace:
     """Localize a local cloud like :meth:`Localizer.localize`, and return the stages."""
     times = times or StageTimes(localizer.clock)
-    query = localizer.require_untiled().describe(cloud, times)
-    found = localizer.search(query, times, near=near)
-    result = answer(query, found, times.with_total())
+    query = localizer.describe(cloud, times)
+    found, result = localizer.answer(query, times, near=near)
     best = found.posterior.best
     T = None if best is None else best.T_map_local
     pairs, inliers = _pairs(localizer, query, found, T)
@@ -111,8 +114,9 @@ def trace(
         segments=query.scene.segments,
         pairs=pairs,
         inliers=inliers,
+        prior_map=found.prior_map,
         T_map_local=T,
-        on_map=_on_map(localizer, query.scene.structure, T),
+        on_map=_on_map(localizer, found.prior_map, query.scene.structure, T),
         constant=-likelihood.model.none,
         parts=() if best is None else _parts(likelihood.model, found),
     )
@@ -128,7 +132,7 @@ def _pairs(
     fits = np.zeros(len(matches), dtype=bool)
     if T_map_local is not None:
         centroids = geometry.transform(T_map_local, query.scene.segments.centroids)
-        x, y, z = (localizer.prior_map.centroids[matches.map] - centroids[matches.query]).T
+        x, y, z = (found.prior_map.centroids[matches.map] - centroids[matches.query]).T
         fits = x**2 + y**2 < config.inlier_tolerance**2
         fits &= np.abs(z) < config.height_tolerance
     order = np.lexsort((np.arange(len(matches)), ~fits))  # inliers first, then by quality
@@ -137,9 +141,10 @@ def _pairs(
     return np.stack([matches.query[chosen], matches.map[chosen]], axis=1), fits[chosen]
 
 
-def _on_map(localizer: Localizer, points: Float32, T_map_local: Pose | None) -> Bools:
+def _on_map(
+    localizer: Localizer, prior_map: SegmentMap, points: Float32, T_map_local: Pose | None
+) -> Bools:
     """Return which points of a query lie on the map's cloud at a pose."""
-    prior_map = localizer.prior_map
     if T_map_local is None or not len(points) or not len(prior_map.cloud):
         return np.zeros(len(points), dtype=bool)
     placed = geometry.transform(T_map_local, points) - prior_map.origin

@@ -14,8 +14,9 @@ import numpy as np
 from .. import geometry
 from ..config import Config
 from ..errors import ConfigError, MapMismatch
-from ..localizer import InTiles, Localizer
+from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
+from ..tiles import TiledMap, localizer_in
 from ..types import Float64, Int64, Recording, Scanned, as_recording
 from .align import silent, spread
 from .config import AlignConfig
@@ -63,7 +64,7 @@ class MapAlignment:
 
 
 def align_to_map(
-    prior_map: SegmentMap | InTiles,
+    prior_map: SegmentMap | TiledMap,
     recordings: Sequence[Scanned],
     config: Config | None = None,
     settings: AlignConfig | None = None,
@@ -95,7 +96,7 @@ def align_to_map(
     settings, stage = settings or AlignConfig(), stage or silent
     if not recordings:
         raise ConfigError("no sessions to align")
-    localizer = Localizer(prior_map, config)
+    localizer = localizer_in(prior_map, config)
     found = MapAlignment([], [], [], [], [], [], [])
     for k, given in enumerate(recordings):
         recording = as_recording(given)

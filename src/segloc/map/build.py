@@ -18,7 +18,6 @@ from ..descriptors import Descriptor, create
 from ..errors import ConfigError, DatasetError
 from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
-from ..frontend.reach import reach_fault
 from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
 from ..frontend.tilt import Tilt, frame_tilt, levelled
 from ..system.files import folder_in
@@ -114,7 +113,7 @@ def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> Bui
 def _nothing(sequence: Recording, config: BuildConfig) -> str:
     """Return why no segment was found."""
     middle = sequence.scan(len(sequence) // 2)
-    why = reach_fault([middle], config.local_cloud.radius_m)
+    why = Accumulator(config.local_cloud).gather(middle).fault
     found = f"no segments in {len(sequence)} scans"
     return f"{found}: {why}" if why else f"{found}, {len(middle)} points in the middle one"
 

@@ -2,7 +2,7 @@
 
 A tile is a map by itself. It owns its square, and holds what a sensor sees from there.
 ``tiles.json`` lists the tiles; a thin map of all of them selects those to search. A
-:class:`segloc.Localizer` accepts a :class:`TiledMap` as its map.
+:class:`TiledLocalizer` is used like a :class:`segloc.Localizer`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,20 @@ from typing import TYPE_CHECKING
 from ..system import lazy
 from .change import merge_into_tiles, update_tiles
 from .cut import cut_tiles
+from .localizer import TiledLocalizer, localizer_in, open_map
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
-__all__ = ["TiledMap", "cut_tiles", "holds_tiles", "merge_into_tiles", "update_tiles"]
+__all__ = [
+    "TiledLocalizer",
+    "TiledMap",
+    "cut_tiles",
+    "holds_tiles",
+    "localizer_in",
+    "merge_into_tiles",
+    "open_map",
+    "update_tiles",
+]
 
 if TYPE_CHECKING:
     from .cut import write_tile as write_tile

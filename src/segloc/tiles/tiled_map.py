@@ -10,11 +10,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..errors import MapFormatError, MapMismatch
-from ..localizer import Localizer
 from ..map.segment_map import SegmentMap, concatenated
 from .cut import owned_rows, part_where
 from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
-from .search import Recent, TileSearch
+from .recent import Recent
 from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30
@@ -106,10 +105,6 @@ class TiledMap:
             If it is missing, damaged, or takes too long; names its file.
         """
         return self.recent.get(tile.file, lambda: self._loaded(tile), lambda m: m.memory_bytes)
-
-    def search(self, coarse: Localizer) -> TileSearch:
-        """Return the search in tiles for :class:`segloc.Localizer`."""
-        return TileSearch(self, coarse)
 
     def together(self, tiles: Sequence[Tile]) -> SegmentMap:
         """Return some tiles as one map, without repetitions.

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localizer, Prior
+from segloc import Config, Prior
 from segloc.system.stage_times import StageTimes
-from segloc.tiles import TiledMap
+from segloc.tiles import TiledLocalizer, TiledMap
 
 from ..city import opened, queries
 from ..outcomes import outcome
@@ -45,7 +45,7 @@ def query_results(work: Path, way: str, seeds: list[int]) -> dict[str, Any]:
     """Results of the queries of some towns, with the cost of each; memory is of this process."""
     place, has_prior = way.split(", ")[0], way in ("prior", "elsewhere, prior")
     tiles = TiledMap(work / ("wide" if WIDE in way else "tiles"), memory_bytes=MEMORY_BYTES)
-    localizer = Localizer(tiles, Config(threads=1), clock=processor_clock)
+    localizer = TiledLocalizer(tiles, Config(threads=1), clock=processor_clock)
     path, rng = localizer.prior_map.trajectory[:, :2, 3], np.random.default_rng(0)
     ready_mb, answers = held_mb(), []
     for file in queries(work / "pieces", seeds):

@@ -21,14 +21,14 @@ at once; ``--add`` adds up.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localizer, Scan, build_map, geometry
+from segloc import Config, Localization, Localizer, Scan, build_map, geometry
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.pipeline import Search
@@ -258,8 +258,8 @@ def _add_alone(
     """Add a scan as ``LiveCore(lidar_odometry=True)`` does, and make its queries."""
     segmented: list[float] = []
 
-    def note(query: Query, search: Search, ms: Mapping[str, float]) -> None:
-        segmented.append(ms["segmentation"])
+    def note(query: Query, search: Search, result: Localization) -> None:
+        segmented.append(result.times_ms["segmentation"])
 
     lost = odometry.losses
     with times("odometry"):

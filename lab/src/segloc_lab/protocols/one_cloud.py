@@ -27,7 +27,6 @@ import numpy as np
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.batch import query_positions
 from segloc.io import clouds
-from segloc.pipeline import answer
 from segloc.proposals import Query
 from segloc.types import Float64, MemoryRecording
 
@@ -241,7 +240,7 @@ class Study:
         for k, (query, spent) in enumerate(described):
             truth = asked.truths[k] if own and asked.truths is not None else None
             start = time.process_time()
-            result = answer(query, localizer.search(query), {})
+            result = localizer.locate(query)
             rows["ms"].append(round(spent + 1e3 * (time.process_time() - start), 1))
             rows["outcome"].append(outcome(result.T_map_sensor, truth))
             rows["covered"].append(truth is not None and is_covered(truth, place.poses))

@@ -22,7 +22,6 @@ import numpy as np
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
 from segloc.batch import query_clouds
 from segloc.datasets import NO_POSES, open_sequence
-from segloc.pipeline import answer
 from segloc.types import Float64, Int64, Recording
 
 from .. import kitti00
@@ -193,8 +192,7 @@ class Judge:
             T = query.cloud.T_local_sensor
             for name, localizer in self._places(chosen):
                 start = time.process_time()
-                search = localizer.search(query)
-                found = answer(query, search, {})
+                search, found = localizer.answer(query)
                 spent = common + 1e3 * (time.process_time() - start)
                 best = search.posterior.best
                 own = name in chosen.maps

@@ -17,7 +17,7 @@ import numpy as np
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.proposals import Query
-from segloc.tiles import TiledMap, cut_tiles
+from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
 from segloc.types import Float64, Pose
 
 from .. import kitti00
@@ -99,7 +99,7 @@ def main() -> None:
     index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
     places = {
         "in one piece": Localizer(whole, config),
-        "in tiles": Localizer(TiledMap(args.out / "tiles"), config),
+        "in tiles": TiledLocalizer(TiledMap(args.out / "tiles"), config),
     }
     rows: list[tuple[Cell, ...]] = []
     for name in SETS:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc import Config, Localizer, SeglocError, SegmentMap
+from segloc import Localizer, SeglocError, SegmentMap
 from segloc.config import map_config
-from segloc.tiles import INDEX, TiledMap, holds_tiles
+from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
 from segloc.types import Float32
 
 
@@ -93,15 +93,9 @@ def opened(path: str, threads: int) -> Localizer:
     SeglocError
         If it cannot be loaded.
     """
-    if _is_url(path) or holds_tiles(path):
-        tiles = TiledMap(path)
-        return Localizer(tiles, _config(tiles.coarse(), threads))
-    prior_map = SegmentMap.load(path)
-    return Localizer(prior_map, _config(prior_map, threads))
-
-
-def _config(prior_map: SegmentMap, threads: int) -> Config:
-    return map_config(prior_map).model_copy(update={"threads": threads})
+    prior_map = open_map(path)
+    whole = prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
+    return localizer_in(prior_map, map_config(whole).model_copy(update={"threads": threads}))
 
 
 def _is_url(path: str) -> bool:

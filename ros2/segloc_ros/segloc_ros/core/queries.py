@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from segloc import Prior, Scan, SeglocError, geometry
+from segloc import Localization, Prior, Scan, SeglocError, geometry
 from segloc.doctor.finding import Fault
 from segloc.doctor.scan_faults import scan_findings
 from segloc.live import LiveCore
@@ -101,30 +101,27 @@ class Answer:
 
 def make(job: Job) -> Answer:
     """Make a query."""
-    found: list[tuple[Query, Search, Mapping[str, float]]] = []
+    found: list[tuple[Query, Search, Localization]] = []
     try:
         view = job.core.ask(job.asked, near=job.near, callback=lambda *all_of: found.append(all_of))
     except SeglocError as error:
         return Answer(job, None, message=str(error))
     if not found:
         return Answer(job, view)
-    query, search, times = found[-1]
+    query, search, result = found[-1]
     position, centroids = None, np.empty((0, 3))
     if search.posterior.best is not None:
         T = search.posterior.best.T_map_local
         position = (T @ query.cloud.T_local_sensor)[:3, 3]
-        centroids = _agreeing(job, query, search)
-    place = f" ({job.near})" if job.near else ""
-    message = f"{search.message}{place}" if search.reason is not None else ""
+        centroids = _agreeing(query, search)
+    message = "" if result.localized else result.message
     T_sensor_base = geometry.inverse(job.core.T_base_sensor)
-    T_local_base = query.cloud.T_local_sensor @ T_sensor_base
-    posterior = search.posterior
     candidates = tuple(
-        (place.T_map_local @ T_local_base, p)
-        for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+        (place.T_map_sensor @ T_sensor_base, place.probability) for place in result.places
     )
     hint = _hint(job.scans) if message else ""
-    return Answer(job, view, search, times, position, centroids, candidates, message, hint)
+    times_ms = result.times_ms
+    return Answer(job, view, search, times_ms, position, centroids, candidates, message, hint)
 
 
 def _hint(scans: tuple[Scan, ...]) -> str:
@@ -137,12 +134,11 @@ def _hint(scans: tuple[Scan, ...]) -> str:
     return ""
 
 
-def _agreeing(job: Job, query: Query, search: Search) -> Float64:
-    """Centroids of the map's segments that matches put where they are, (K, 3)."""
+def _agreeing(query: Query, search: Search) -> Float64:
+    """Return the centroids of the map's segments that matches put where they are, (K, 3)."""
     best, matches = search.posterior.best, search.matches
-    is_tiled = job.core.tracker.localizer.tiles is not None
-    if best is None or not len(matches) or is_tiled:  # matches are rows of some tiles
+    if best is None or not len(matches):
         return np.empty((0, 3))
     ours = geometry.transform(best.T_map_local, query.scene.segments.centroids[matches.query])
-    theirs = np.asarray(job.core.tracker.localizer.prior_map.centroids[matches.map], np.float64)
+    theirs = np.asarray(search.prior_map.centroids[matches.map], np.float64)
     return np.unique(theirs[np.linalg.norm(ours - theirs, axis=1) < _AGREE_M], axis=0)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+import time
+from collections.abc import Iterator
 from dataclasses import replace
-from threading import Lock
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
+from ..config import Config
+from ..errors import ConfigError
 from ..likelihood import Posterior
 from ..localization import Reason
 from ..localizer import Localizer
@@ -18,66 +19,102 @@ from ..pipeline import Search
 from ..prior import Prior, within
 from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
-from ..proposals.proposer import Query
-from ..system.stage_times import StageTimes
+from ..proposals.proposer import Estimator, Query
+from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, Matches
-from .index import Tile, TileIndex
+from .index import Tile
+from .store import holds_tiles
+from .tiled_map import TiledMap
 
 MAX_VOTED, MAX_ALL = 4, 10
 """Maximum number of tiles selected by votes, and of tiles that are all searched. Set by hand."""
-Value = TypeVar("Value")
 
 
-class Tiles(Protocol):
-    """Tiles to search; a :class:`segloc.tiles.TiledMap`."""
+class TiledLocalizer(Localizer):
+    """Finds the pose of the sensor in a tiled map; used like a :class:`segloc.Localizer`.
 
-    index: TileIndex
-    recent: Recent
-
-    def tile(self, tile: Tile) -> SegmentMap: ...
-    def together(self, tiles: Sequence[Tile]) -> SegmentMap: ...
-
-
-class TileSearch:
-    """Search the tiles that may contain a query.
-
-    The query is matched to a thin map of all tiles, or of those near the prior. A tile with far
-    more votes than chance is searched alone. Otherwise the query is matched to all segments of the
-    tiles with the most votes; those in which segments agree on poses are searched as one map, so
-    that similar places in different tiles make the query ambiguous. Other clouds are compared only
-    if there are few tiles.
+    A query is matched to a thin map of all tiles, or of those near the prior. A tile with far more
+    votes than chance is searched alone. Otherwise the query is matched to all segments of the tiles
+    with the most votes; those in which segments agree on poses are searched as one map, so that
+    similar places in different tiles make the query ambiguous. Other clouds are compared only if
+    there are few tiles.
 
     Parameters
     ----------
-    tiles : Tiles
-    coarse : Localizer
-        Localizer in the thin map of all tiles.
+    tiles : TiledMap
+    config : Config, optional
+        By default the configuration of the map.
+    estimator : Estimator, optional
+        Estimates poses from matches of segments; by default that of ``config.pose``.
+    clock : callable
+        Clock of the times of stages; returns seconds.
+
+    Attributes
+    ----------
+    tiles : TiledMap
+    prior_map : SegmentMap
+        The thin map of all tiles.
+
+    Raises
+    ------
+    ConfigError
+        If it is not given a TiledMap.
+    MapMismatch, MapFormatError
+        As a Localizer; or if the thin map cannot be read.
     """
 
-    def __init__(self, tiles: Tiles, coarse: Localizer) -> None:
-        self._tiles, self._coarse = tiles, coarse
-        config = coarse.config
+    def __init__(
+        self,
+        tiles: TiledMap,
+        config: Config | None = None,
+        *,
+        estimator: Estimator | None = None,
+        clock: Clock = time.perf_counter,
+    ) -> None:
+        if not isinstance(tiles, TiledMap):
+            raise ConfigError(
+                f"a TiledLocalizer needs a TiledMap, not {type(tiles).__name__}: "
+                "open one by segloc.tiles.TiledMap(place)"
+            )
+        super().__init__(tiles.coarse(), config, estimator=estimator, proposers=(), clock=clock)
+        self.tiles, config = tiles, self.config
         self._vote = CoarseVoter(
-            coarse.prior_map,
-            coarse.matcher,
+            self.prior_map,
+            self.matcher,
             config.pose,
             config.local_cloud.radius_m,
             threads=config.threads,
             seed=config.seed,
         )
         self._settings = config.to_yaml()
+        self._rebuild = tiles, config, estimator, clock
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the location and the configuration; unpickling opens the tiles again."""
+        return _restored, self._rebuild
 
     def search(
-        self, query: Query, times: StageTimes, deadline_ms: float | None, near: Prior | None
+        self,
+        query: Query,
+        times: StageTimes | None = None,
+        deadline_ms: float | None = None,
+        near: Prior | None = None,
+        *,
+        thorough: bool = False,
     ) -> Search:
-        """Search the tiles that a query may be in.
+        """Search the tiles that a query may be in, as :meth:`segloc.Localizer.search`.
 
         Raises
         ------
+        ConfigError
+            If ``thorough``: only maps in one piece are searched so.
         MapFormatError
             If a required tile is unavailable; names its file.
         """
-        index = self._tiles.index
+        if thorough:
+            raise ConfigError("a thorough search of tiles is not supported; pass a .segmap file")
+        times = times or StageTimes(self.clock)
+        index = self.tiles.index
         tiles = index.tiles if near is None else index.near(near)
         matches, found = _NONE, list[Candidate]()
         if len(tiles) > 1:
@@ -92,20 +129,20 @@ class TileSearch:
                 return result
         if near is not None and near.anywhere:
             return self.search(query, times, deadline_ms, None)
-        return result or _nowhere(matches, found, near)
+        return result or self._nowhere(matches, found, near)
 
     def around(self, position: Float64) -> Localizer | None:
-        """Return the localizer in the tile at a (3,) position; None beside all tiles.
+        """Return the localizer of the tile at a (3,) position; None beside all tiles.
 
         Raises
         ------
         MapFormatError
-            If the tile cannot be had; names its file.
+            If the tile cannot be read; names its file.
         """
-        (tile,) = self._tiles.index.owners(position[None])
+        (tile,) = self.tiles.index.owners(position[None])
         if tile is None:
             return None
-        return self._searching((tile,), StageTimes(self._coarse.clock))
+        return self._searching((tile,), StageTimes(self.clock))
 
     def _named(
         self,
@@ -133,10 +170,10 @@ class TileSearch:
         strong = [
             tile
             for tile, votes in voted.items()
-            if not self._coarse.likelihood.segments_decide(best, votes)
+            if not self.likelihood.segments_decide(best, votes)
         ][:MAX_VOTED]
         typical = int(np.median([c.inliers for c in found])) if found else 0
-        if len(strong) == 1 and self._coarse.likelihood.segments_decide(best, typical):
+        if len(strong) == 1 and self.likelihood.segments_decide(best, typical):
             yield tuple(strong)
         agree: dict[Tile, int] = {}
         for some in (strong, list(voted)[:MAX_VOTED]):
@@ -149,20 +186,20 @@ class TileSearch:
     def _agreeing(self, agree: dict[Tile, int]) -> tuple[Tile, ...]:
         """Return the tiles that segments do not rule out; none if they may agree by chance."""
         best = max(agree.values(), default=0)
-        if not self._coarse.likelihood.segments_decide(best, 0):
+        if not self.likelihood.segments_decide(best, 0):
             return ()
         return tuple(
             tile
             for tile, count in agree.items()
-            if not self._coarse.likelihood.segments_decide(best, count)
+            if not self.likelihood.segments_decide(best, count)
         )
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
         """Return the tiles of the poses with most votes in the thin map, best first."""
         if not found:
             return {}
-        index = self._tiles.index
-        sees_m = index.margin_m - self._coarse.config.local_cloud.radius_m  # beside a square
+        index = self.tiles.index
+        sees_m = index.margin_m - self.config.local_cloud.radius_m  # beside a square
         voted: dict[Tile, int] = {}
         owners = index.owners(np.stack([c.T_map_local[:3, 3] for c in found]))
         for own, candidate in zip(owners, found, strict=True):
@@ -174,12 +211,11 @@ class TileSearch:
 
     def _agree(self, query: Query, tile: Tile, near: Prior | None) -> int:
         """Return the inliers of a query in a tile, by all of its segments."""
-        part, coarse = self._tiles.tile(tile), self._coarse
-        config, pruner = coarse.config, coarse.descriptor.pruner
+        part, config, pruner = self.tiles.tile(tile), self.config, self.descriptor.pruner
         matcher = Matcher(part, config.matching, pruner=pruner, threads=config.threads)
         matches = matcher.prune(query.descriptors, matcher.match(query.descriptors))
         centroids = query.scene.segments.centroids
-        found = within(near, coarse.estimator.estimate(centroids, part.centroids, matches))
+        found = within(near, self.estimator.estimate(centroids, part.centroids, matches))
         return max((candidate.inliers for candidate in found), default=0)
 
     def _searching(self, tiles: tuple[Tile, ...], times: StageTimes) -> Localizer:
@@ -189,15 +225,18 @@ class TileSearch:
 
         def made() -> Localizer:
             with times("tiles"):
-                part = self._tiles.together(chosen)
-                return Localizer(
-                    part,
-                    self._coarse.config,
-                    estimator=self._coarse.estimator,
-                    clock=self._coarse.clock,
-                )
+                part = self.tiles.together(chosen)
+                return Localizer(part, self.config, estimator=self.estimator, clock=self.clock)
 
-        return self._tiles.recent.get(key, made, _bytes)
+        return self.tiles.recent.get(key, made, _bytes)
+
+    def _nowhere(self, matches: Matches, found: list[Candidate], near: Prior | None) -> Search:
+        """Return the result if no tile has enough votes."""
+        reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
+        message = f"{reason} (of the segments {most} agree on a place, as by chance)"
+        return Search(
+            self.prior_map, len(matches), matches, found, Posterior(), reason, message, near=near
+        )
 
 
 _NONE = Matches(
@@ -216,48 +255,25 @@ def _bytes(localizer: Localizer) -> int:
     return prior_map.memory_bytes + points + _SEGMENT_BYTES * len(prior_map)
 
 
-def _nowhere(matches: Matches, found: list[Candidate], near: Prior | None) -> Search:
-    """The result where no tile has a right to be searched."""
-    reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
-    message = f"{reason} (of the segments {most} agree on a place, as by chance)"
-    return Search(len(matches), matches, found, Posterior(), reason, message, near=near)
+def open_map(where: str) -> SegmentMap | TiledMap:
+    """Open a map file, or the folder or URL of tiles.
 
-
-class Recent:
-    """Thread-safe cache that drops the least recently used.
-
-    Parameters
-    ----------
-    most_bytes : int
-        Maximum size, apart from the latest entry.
+    Raises
+    ------
+    MapFormatError
+        If it holds no map, or a damaged one; names the file.
     """
+    return TiledMap(where) if holds_tiles(where) else SegmentMap.load(where)
 
-    def __init__(self, most_bytes: int) -> None:
-        self._most_bytes = most_bytes
-        self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._lock = Lock()
 
-    def __len__(self) -> int:
-        return len(self._kept)
+def localizer_in(prior_map: SegmentMap | TiledMap, config: Config | None = None) -> Localizer:
+    """Return the localizer in a map of either kind."""
+    if isinstance(prior_map, TiledMap):
+        return TiledLocalizer(prior_map, config)
+    return Localizer(prior_map, config)
 
-    @property
-    def bytes(self) -> int:
-        """Total size of the entries."""
-        with self._lock:
-            return sum(size for _, size in self._kept.values())
 
-    def get(self, key: Hashable, make: Callable[[], Value], size: Callable[[Value], int]) -> Value:
-        """Return the entry of a key, or create it."""
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                found: Value = self._kept[key][0]
-                return found
-        made = make()
-        with self._lock:
-            self._kept[key] = made, size(made)
-            self._kept.move_to_end(key)
-            excess = sum(size for _, size in self._kept.values()) - self._most_bytes
-            while excess > 0 and len(self._kept) > 1:
-                excess -= self._kept.popitem(last=False)[1][1]
-        return made
+def _restored(
+    tiles: TiledMap, config: Config, estimator: Estimator | None, clock: Clock
+) -> TiledLocalizer:
+    return TiledLocalizer(tiles, config, estimator=estimator, clock=clock)
