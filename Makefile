@@ -53,7 +53,7 @@ define test_installed
 	$(1) -m venv build/$(2)
 	SKBUILD_BUILD_DIR=build/native/$(2) build/$(2)/bin/python $(INSTALL) --upgrade $(3) \
 	  ".[$(EXTRAS),test-tools]" embreex scikit-learn
-	build/$(2)/bin/python $(INSTALL) --no-deps ./lab
+	build/$(2)/bin/python $(INSTALL) --no-deps ./lab ./plugins/segloc-stems
 	$(ALONE) build/$(2)/bin/python -m pytest -n $(CORES) --dist loadfile $(4) $(QUICK) $(if $(filter smoke,$(TESTS)),$(SMOKE),$(TESTS))
 endef
 
@@ -147,6 +147,7 @@ wheel-check: ## Build, audit and try the wheels.
 	mkdir $(WHEEL)/source && tar -c $(patsubst %,--exclude=./%,build .venv .git) . | tar -x -C $(WHEEL)/source
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) lab >> $(WHEEL)/log
+	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) plugins/segloc-stems >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
 	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
 	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "_lab|kitti00|benchmarks|(segmap|forest).safetensors"
@@ -160,8 +161,8 @@ define try_wheel
 	$(1) -m venv $(2) && \
 	  $(2)/bin/python $(INSTALL) $(WHEEL)/segloc-*.whl && \
 	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py && \
-	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_lab-*.whl && \
-	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
+	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_lab-*.whl $(WHEEL)/segloc_stems-*.whl && \
+	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc stems map --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
 	  $(2)/bin/python tests/wheel_smoke.py segmap segmatch-esf nsm
 endef
 
@@ -178,14 +179,14 @@ $(VENV)/.%: $(NATIVE) | $(BIN)/python
 	$(PIP) -e ".[$*]"
 	@touch $@
 
-# The laboratory is a distribution of its own, which adds verbs to segloc.
-LABORATORY := $(NATIVE) lab/pyproject.toml
+# The laboratory and the plug-in of stems are distributions of their own, which add verbs to segloc.
+LABORATORY := $(NATIVE) lab/pyproject.toml plugins/segloc-stems/pyproject.toml
 $(VENV)/.evaluate: $(LABORATORY) | $(BIN)/python
-	$(PIP) -e ".[io]" -e ./lab
+	$(PIP) -e ".[io]" -e ./lab -e ./plugins/segloc-stems
 	@touch $@
 
 $(VENV)/.test $(VENV)/.dev: $(VENV)/.%: $(LABORATORY) | $(BIN)/python
-	$(PIP) -e ".[$*]" -e ./lab
+	$(PIP) -e ".[$*]" -e ./lab -e ./plugins/segloc-stems
 	@touch $@
 
 clean: ## Remove build folders and the environment.

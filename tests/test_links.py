@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
     [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("lab/**/*.md")]
-    + [*ROOT.glob("reports/**/*.md")]
+    + [*ROOT.glob("plugins/*/*.md"), *ROOT.glob("reports/**/*.md")]
 )  # fmt: skip
 LINK = re.compile(r"!?\[(?:[^\[\]]|\[[^\]]*\])*\]\(([^()\s]+(?:\([^()]*\))?)\)")
 CODE = re.compile(r"^```.*?^```|^ {4,}[^\n]*$|`[^`\n]*`", re.MULTILINE | re.DOTALL)

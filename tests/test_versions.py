@@ -24,6 +24,7 @@ VERSION = found(r'^version = "(.+)"$', PROJECT)
     ("file", "pattern"),
     [
         ("lab/pyproject.toml", r'^version = "(.+)"$'),
+        ("plugins/segloc-stems/pyproject.toml", r'^version = "(.+)"$'),
         ("CITATION.cff", r"^version: (.+)$"),
         ("packaging/conda/recipe.yaml", r"^  version: (.+)$"),
         (".zenodo.json", r'"version": "(.+)"'),
@@ -33,10 +34,11 @@ def test_one_version_everywhere(file: str, pattern: str) -> None:
     assert found(pattern, (ROOT / file).read_text("utf-8")) == VERSION
 
 
-def test_the_laboratory_needs_the_segloc_that_it_was_made_with() -> None:
-    text = (ROOT / "lab" / "pyproject.toml").read_text("utf-8")
+@pytest.mark.parametrize("folder", ["lab", "plugins/segloc-stems"])
+def test_other_distributions_need_the_segloc_that_they_were_made_with(folder: str) -> None:
+    text = (ROOT / folder / "pyproject.toml").read_text("utf-8")
     major, minor = (int(part) for part in VERSION.split(".")[:2])
-    needed = re.findall(r'"segloc\[[\w,]+\](.*)"', text)
+    needed = re.findall(r'"segloc(?:\[[\w,]+\])?(>.*)"', text)
     assert needed and set(needed) == {f">={major}.{minor},<{major}.{minor + 1}"}
 
 

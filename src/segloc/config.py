@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from . import descriptors
 from .errors import ConfigError, MapMismatch
 from .likelihood import VerificationConfig, shipped_model
 from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
 from .map.segment_map import SegmentMap
-from .proposals.landmarks.config import StemConfig
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
 from .proposals.pose import PoseConfig
@@ -42,7 +41,7 @@ FOR_USERS = (
     "matching.escalation",
     "pose.estimator",
     "occupancy.enabled",
-    "stems.enabled",
+    "proposers",
     "verification.min_confidence",
     "verification.refine",
 )
@@ -58,7 +57,9 @@ class Config(BuildConfig):
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
-    stems: StemConfig = StemConfig()
+    proposers: tuple[str, ...] = Field(
+        (), description="proposers of plug-ins, used before occupancy if segments are inconclusive"
+    )
     verification: VerificationConfig = VerificationConfig()
 
     @classmethod

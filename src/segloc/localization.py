@@ -175,8 +175,8 @@ class _Answer:
         Share of the compared map points that the query sees, in [0, 1]; the others are free-space
         violations. None if no map points are in view.
     proposer : str or None
-        Source of the pose: "segments" (their matches), "stems", "occupancy", or your own proposer.
-        None if no pose was proposed.
+        Source of the pose: "segments" (their matches), "occupancy", or the name of another
+        proposer. None if no pose was proposed.
     rmse : float or None
         Residual of the alignment [m]. None without an alignment.
     confidence : float

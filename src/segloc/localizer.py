@@ -17,11 +17,11 @@ from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer
 from .prior import Near, Prior, allowed, within
-from .proposals.landmarks import StemProposer
 from .proposals.matching import Matcher
 from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query
+from .proposals.proposer import create as create_proposer
 from .system.stage_times import Clock, StageTimes
 from .types import Candidate, Float64, LocalCloud, Pose
 
@@ -258,12 +258,10 @@ class Localizer:
         for k, proposer in enumerate(self.proposers, start=1):
             with times("pose"):
                 proposals = proposer.propose(query, near)
-                fresh = within(
-                    near, [replace(c, proposer=proposer.name) for c in proposals.candidates]
-                )
+                fresh = within(near, [replace(c, proposer=proposer.name) for c in proposals])
                 candidates = [*candidates, *_counted(fresh, inliers)]
             over = times.beyond(deadline_ms)
-            suffices = proposals.decided or over or k == len(self.proposers)
+            suffices = over or k == len(self.proposers)
             yield Proposed(len(nearest), matches, candidates, inliers, suffices)
             if over:
                 return
@@ -278,11 +276,9 @@ class Localizer:
 
 def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
     """Return the enabled proposers, in order of use."""
-    cloud, found = prior_map.voxel_cloud, list[Proposer]()
-    if config.stems.enabled:
-        found.append(StemProposer(cloud, config.stems, config.segmentation))
+    found = [create_proposer(name, prior_map, config) for name in config.proposers]
     if config.occupancy.enabled:
-        path = prior_map.trajectory
+        cloud, path = prior_map.voxel_cloud, prior_map.trajectory
         found.append(OccupancyProposer(cloud, path, config.occupancy, config.segmentation))
     return tuple(found)
 

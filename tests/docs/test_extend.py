@@ -17,6 +17,7 @@ from segloc.datasets import formats, open_sequence
 from segloc.datasets.formats import Format
 from segloc.descriptors import available, base, create
 from segloc.io import Trajectory, write_tum
+from segloc.system.plugins import plugins
 
 PAGE = (PROJECT / "docs" / "how-to" / "extend.md").read_text("utf-8")
 FENCED = re.compile(r"^```\w+\n# (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -65,7 +66,7 @@ def test_a_descriptor_of_a_package_of_its_own(
     assert name not in available()  # and so the package's own are known
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(base, "_entries", dict(base._entries))
-    base._discover.cache_clear()
+    forget_plugins()
     try:
         assert name in available()
         config = Config.preset(name)
@@ -76,7 +77,13 @@ def test_a_descriptor_of_a_package_of_its_own(
         assert result.counts["segments"] > 0 and result.counts["matches"] > 0
     finally:
         sys.modules.pop("segloc_cubes", None)
-        base._discover.cache_clear()
+        forget_plugins()
+
+
+def forget_plugins() -> None:
+    """Let descriptors be discovered again."""
+    plugins.cache_clear()
+    base._discover.cache_clear()
 
 
 def plugin_of(text: str) -> tuple[str, str, str]:

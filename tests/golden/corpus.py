@@ -199,7 +199,6 @@ def in_place(name: str, method: str = "profile") -> Cases:
 for _name in PLACES:
     group(f"world-{_name}", quick=_name in ("town", "offices"))(partial(in_place, _name))
 
-FALLBACKS = ("occupancy", "stems")
 METHODS = (
     "dsm",
     "dsm-fq",
@@ -236,7 +235,7 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
     "prosac": {"pose": {"estimator": "prosac"}},
     "ransac": {"pose": {"estimator": "ransac"}},
     "consistency": {"pose": {"estimator": "geometric_consistency"}},
-    "no fallback": {"occupancy": {"enabled": False}, "stems": {"enabled": False}},
+    "no fallback": {"occupancy": {"enabled": False}},
     "no refinement": {"verification": {"refine": False}},
     "few neighbours": {"matching": {"neighbours": 3}},
 }
@@ -278,7 +277,7 @@ def _refusals() -> Cases:
         "other": other,
         "scaled": 1.2 * whole,
     }
-    alone = {s: getattr(config(), s).model_copy(update={"enabled": False}) for s in FALLBACKS}
+    alone = {"occupancy": config().occupancy.model_copy(update={"enabled": False})}
     for name, each in (("all", config()), ("segments", config(**alone))):
         requested = [Query(f"{name}, {cloud}", Scan(points)) for cloud, points in clouds.items()]
         yield from localized(Localizer(prior_map, each), requested, inputs)

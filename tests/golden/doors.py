@@ -13,6 +13,7 @@ from segloc_lab.simulation import (
     simulate_sessions,
     warehouse,
 )
+from segloc_stems import LandmarkLocalizer, find_stems
 
 from segloc import (
     Config,
@@ -37,7 +38,6 @@ from segloc.live import LiveConfig, LiveCore
 from segloc.loops import LoopConfig
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
-from segloc.proposals.landmarks import LandmarkLocalizer, find_stems
 from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
 from segloc.tracker import TrackerConfig
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 from scipy.spatial import cKDTree
+from segloc_stems import LandmarkMap, Landmarks
 
 from segloc import geometry
-from segloc.proposals.landmarks import LandmarkMap, Landmarks
 from segloc.types import Float64, Pose
 
 SIZE_M = 80.0

@@ -51,7 +51,7 @@ RECORD = {
     "overlap": "share of the query cloud that lies on the map there, 0 to 1",
     "seen": "share of the map in view that the query sees, 0 to 1; the rest are free-space "
     "violations",
-    "proposer": "proposer of the best pose: `segments`, `stems`, `occupancy` or your own; null "
+    "proposer": "proposer of the best pose: `segments`, `occupancy` or the name of another; null "
     "without a pose",
     "rmse": "residual of the refined alignment [m]",
     "confidence": "calibrated probability that the pose is correct, 0 to 1",

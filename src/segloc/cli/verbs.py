@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from ..errors import INSTALL_LAB, SeglocError
+from ..system.plugins import plugins
 
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 ORDER = (
@@ -130,13 +131,14 @@ def _member(module: str, name: str) -> Any:
 
 def _add_plugins(app: typer.Typer) -> None:
     """Add the verbs of other distributions, by entry points ``segloc.commands``: register(app)."""
-    from importlib.metadata import entry_points
-
-    for plugin in entry_points(group="segloc.commands"):
+    loaded, faults = plugins("segloc.commands")
+    for name, register in loaded.items():
         try:
-            plugin.load()(app)
-        except Exception as error:  # a faulty plugin must not end the program
-            print(f"segloc: note: {plugin.value} cannot be loaded: {error}", file=sys.stderr)
+            register(app)
+        except Exception as error:  # a faulty plug-in must not end the program
+            faults = {**faults, name: str(error)}
+    for name, fault in faults.items():
+        print(f"segloc: note: the plug-in {name} cannot be loaded: {fault}", file=sys.stderr)
     present = {command.name for command in app.registered_commands}
     present |= {inner.name for inner in app.registered_groups}
     for name in LABORATORY:

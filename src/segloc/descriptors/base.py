@@ -9,11 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
+from ..system.plugins import plugins
 from ..types import Descriptors, Float32, Int64, Segments
 
 
@@ -99,7 +99,6 @@ PLUGINS = "segloc.descriptors"
 """Entry point group of descriptors of other packages: ``name = "module:factory"``."""
 
 _entries: dict[str, _Entry] = {}
-_broken: dict[str, str] = {}
 
 
 def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Factory], Factory]:
@@ -124,14 +123,9 @@ def _discover() -> None:
     package = importlib.import_module(__package__ or "segloc.descriptors")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
-    for plugin in entry_points(group=PLUGINS):
-        try:
-            factory = plugin.load()
-        except Exception as error:  # a broken package must not break segloc
-            _broken[plugin.name] = f"{plugin.value}: {error}"
-            continue
-        if plugin.name not in _entries:
-            register(plugin.name, getattr(factory, "preset", None))(factory)
+    for name, factory in plugins(PLUGINS)[0].items():
+        if name not in _entries:
+            register(name, getattr(factory, "preset", None))(factory)
 
 
 def available() -> list[str]:
@@ -179,8 +173,8 @@ def preset(name: str) -> Mapping[str, Any]:
 
 def _entry(name: str) -> _Entry:
     _discover()
-    if name in _broken:
-        raise ConfigError(f"descriptor {name!r} cannot be loaded ({_broken[name]})")
+    if name not in _entries and (fault := plugins(PLUGINS)[1].get(name)):
+        raise ConfigError(f"descriptor {name!r} cannot be loaded ({fault})")
     if name not in _entries:
         raise ConfigError(f"no method {name!r}; there are {', '.join(sorted(_entries))}")
     return _entries[name]

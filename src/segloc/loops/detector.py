@@ -268,9 +268,5 @@ class LoopDetector:
 
 def _quick(config: Config) -> Config:
     """Return the configuration without searches of a whole map: the next keyframe follows soon."""
-    return config.model_copy(
-        update={
-            "occupancy": config.occupancy.model_copy(update={"enabled": False}),
-            "stems": config.stems.model_copy(update={"enabled": False}),
-        }
-    )
+    occupancy = config.occupancy.model_copy(update={"enabled": False})
+    return config.model_copy(update={"occupancy": occupancy, "proposers": ()})

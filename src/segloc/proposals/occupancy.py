@@ -25,7 +25,7 @@ from ..map.voxel_cloud import VoxelCloud
 from ..prior import Prior
 from ..system.section import Section
 from ..types import Candidate, Float32, Float64, Int64
-from .proposer import Proposals, Query
+from .proposer import Query
 
 LEVELS = (4, 5, 6)
 """Levels of windows: the widest are 4, 8 or 16 m with cells of 0.5 m."""
@@ -113,11 +113,10 @@ class OccupancyProposer:
         self._maps: list[_OccupancyMap] | None = None
 
     name = "occupancy"
-    exhaustive = True
 
-    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
+    def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose poses by occupied and free cells."""
-        return Proposals(self.candidates(query.scene, prior))
+        return self.candidates(query.scene, prior)
 
     def candidates(self, scene: Segmentation, near: Prior | None = None) -> list[Candidate]:
         """Return candidate poses T_map_local with ``fit``, best first; none for sparse queries.

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from ..errors import ConfigError
 from ..frontend.segmentation import Segmentation
+from ..map.config import BuildConfig
+from ..map.segment_map import SegmentMap
 from ..prior import Prior
+from ..system.plugins import plugins
 from ..types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
 
 
@@ -20,22 +24,6 @@ class Query:
     descriptors: Descriptors
 
 
-@dataclass(frozen=True)
-class Proposals:
-    """Poses that a proposer found.
-
-    Attributes
-    ----------
-    candidates : list of Candidate
-        T_map_local, best first, with their ``fit`` in [0, 1].
-    decided : bool
-        True if the proposer accepts the first one by its own measure.
-    """
-
-    candidates: list[Candidate]
-    decided: bool = False
-
-
 class Proposer(Protocol):
     """Proposes poses by something other than matches of segments.
 
@@ -43,20 +31,42 @@ class Proposer(Protocol):
     ----------
     name : str
         Name of the proposer in answers.
-    exhaustive : bool
-        True if the whole map is searched. Candidates that segment matches do not decide are then
-        verified together with those of the proposers.
     """
 
     @property
     def name(self) -> str: ...
 
-    @property
-    def exhaustive(self) -> bool: ...
+    def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
+        """Propose poses T_map_local, best first, with their ``fit`` in [0, 1].
 
-    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
-        """Propose poses. At each, the query's cloud is compared with the map."""
+        At each, the query's cloud is compared with the map.
+        """
         ...
+
+
+PLUGINS = "segloc.proposers"
+"""Entry point group of proposers of other packages: ``name = "module:factory"``."""
+
+Factory = Callable[[SegmentMap, BuildConfig], Proposer]
+"""Makes the proposer of a map; the second argument is a :class:`segloc.Config`."""
+
+
+def create(name: str, prior_map: SegmentMap, config: BuildConfig) -> Proposer:
+    """Create the proposer of another package by the name of its entry point.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name, or it cannot be loaded.
+    """
+    factories, faults = plugins(PLUGINS)
+    if name in faults:
+        raise ConfigError(f"proposer {name!r} cannot be loaded ({faults[name]})")
+    if name not in factories:
+        known = ", ".join(sorted(factories)) or "none"
+        raise ConfigError(f"no proposer {name!r}: install its package; installed are {known}")
+    factory: Factory = factories[name]
+    return factory(prior_map, config)
 
 
 class Estimator(Protocol):

@@ -17,9 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
-
-from segloc import geometry
-from segloc.proposals import (
+from segloc_stems import (
     LandmarkConfig,
     LandmarkLocalizer,
     LandmarkMap,
@@ -27,6 +25,8 @@ from segloc.proposals import (
     Landmarks,
     levelling,
 )
+
+from segloc import geometry
 from segloc.types import Float64, Pose
 
 from ..outcomes import pose_error

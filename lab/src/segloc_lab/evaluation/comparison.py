@@ -136,8 +136,7 @@ def shared_config(method: str, threads: int, segments_alone: bool = False) -> Co
     preset, default = Config.preset(method), Config()
     shared = {name: getattr(default, name) for name in ("local_cloud", "segmentation", "mapping")}
     if segments_alone:
-        for name in ("occupancy", "stems"):
-            shared[name] = getattr(preset, name).model_copy(update={"enabled": False})
+        shared["occupancy"] = preset.occupancy.model_copy(update={"enabled": False})
     return preset.model_copy(update={**shared, "threads": threads})
 
 

@@ -97,7 +97,9 @@ def localizers(
 ) -> dict[tuple[str, str], Localizer]:
     """Return localizers by descriptor and last proposer, on one cloud; and one without matches."""
     maps = build_maps(place.mapped, descriptors)
-    first = Localizer(maps[next(iter(maps))], shared_config(next(iter(maps)), 1))
+    name = next(iter(maps))
+    config = shared_config(name, 1).model_copy(update={"proposers": ("stems",)})
+    first = Localizer(maps[name], config)
     found = {}
     for name, prior_map in maps.items():
         for count, last in enumerate(PROPOSERS):

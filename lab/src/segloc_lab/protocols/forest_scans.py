@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from segloc_stems import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
 from segloc.batch import distances_to_path, query_clouds
 from segloc.frontend import Accumulator
-from segloc.proposals import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 from segloc.types import Pose
 
 from ..outcomes import pose_error
@@ -77,13 +77,12 @@ class Tally:
 def methods(prior_map: SegmentMap) -> dict[str, Locate]:
     """Methods compared: segments and clouds, the same with stems, and stems alone."""
     config = Config(threads=1)
-    without = config.stems.model_copy(update={"enabled": False})
     alone = LandmarkLocalizer(stem_map(prior_map))
     return {
-        "without stems": Localizer(
-            prior_map, config.model_copy(update={"stems": without})
+        "without stems": Localizer(prior_map, config).localize,
+        "with stems": Localizer(
+            prior_map, config.model_copy(update={"proposers": ("stems",)})
         ).localize,
-        "with stems": Localizer(prior_map, config).localize,
         "stems alone": lambda cloud: alone.localize(find_stems(cloud)),
     }
 

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from segloc_stems import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 
 from segloc import geometry
 from segloc.io import read_trajectory
-from segloc.proposals import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Float64, Int64
 
 from ..calibration.landmarks import mirrored as mirror_image

@@ -143,7 +143,6 @@ def configs(method: str, draws: int = DRAWS) -> dict[str, Config]:
         for k in NEIGHBOURS:
             changes = {
                 "occupancy": {"enabled": False},
-                "stems": {"enabled": False},
                 "matching": {"neighbours": k, "growth": 0.0, "escalation": escalation},
                 "pose": {"estimator": _estimator(method, estimator), "max_draws": draws},
             }

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ... import geometry
-from ...types import Candidate, Float64, Int64, Pose
+from segloc import geometry
+from segloc.types import Candidate, Float64, Int64, Pose
+
 from .config import LandmarkConfig
 from .landmark_map import LandmarkMap
 from .landmarks import nearest

@@ -14,7 +14,8 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...types import Float64, Int64, Matches
+from segloc.types import Float64, Int64, Matches
+
 from .config import Effort, LandmarkConfig
 from .landmarks import nearest
 

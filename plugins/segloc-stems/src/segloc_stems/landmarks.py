@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ... import geometry
-from ...errors import InvalidScan
-from ...system.checks import MAX_LOCAL_METRES, check_finite, checked_rows, checked_stamp
-from ...types import Float64, Int64, Pose
+from segloc import geometry
+from segloc.errors import InvalidScan
+from segloc.system.checks import MAX_LOCAL_METRES, check_finite, checked_rows, checked_stamp
+from segloc.types import Float64, Int64, Pose
 
 MAX_DIAMETER_M = 100.0
 

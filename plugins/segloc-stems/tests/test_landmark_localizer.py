@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 from samples import stems
+from segloc_stems import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 
 from segloc import geometry
 from segloc.errors import ConfigError, InvalidScan
 from segloc.localization import Localization, Reason
 from segloc.map.segment_map import SegmentMap
-from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 from segloc.types import Pose
 
 POSES = [stems.pose(x, y, yaw) for x, y, yaw in ((20, 42, 0.3), (33, 36, 2.0), (55, 45, -2.8))]

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from ...errors import MapFormatError, SeglocError
-from ...map import file as mapfile
-from ...system.checks import MAX_METRES, check_finite, checked_pose, checked_rows
-from ...types import Float64, Int64
+from segloc.errors import MapFormatError, SeglocError
+from segloc.map import file as mapfile
+from segloc.system.checks import MAX_METRES, check_finite, checked_pose, checked_rows
+from segloc.types import Float64, Int64
+
 from .config import LandmarkConfig
 from .landmarks import Landmarks, nearest
 

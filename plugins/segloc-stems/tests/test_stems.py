@@ -10,11 +10,11 @@ import pytest
 from samples import stems
 from scipy.spatial import cKDTree
 from segloc_lab.padding import mirrored
+from segloc_stems import LandmarkLocalizer, LandmarkMap, Landmarks, Stems, find_stems
+from segloc_stems.stems import Upright, fitted
 
 from segloc import Config, Localizer, Scan, build_map
 from segloc.localization import Reason
-from segloc.proposals.landmarks import LandmarkLocalizer, LandmarkMap, Landmarks, Stems, find_stems
-from segloc.proposals.landmarks.stems import Upright, fitted
 from segloc.types import Float64, Int64, Pose
 
 HERE = stems.pose(40, 42, 1.0)
@@ -143,12 +143,10 @@ def test_stems_settle_what_segments_leave_open() -> None:
     prior_map = build_map(Walk(equal()), config)
     T = stems.pose(38, 46, 2.5)
     query = Scan(seen(equal(), T, 99))
-    without = config.model_copy(
-        update={"stems": config.stems.model_copy(update={"enabled": False})}
-    )
-    assert not Localizer(prior_map, without).localize(query).localized
-    answer = Localizer(prior_map, config).localize(query)
-    assert answer.localized, answer.message
+    assert not Localizer(prior_map, config).localize(query).localized
+    by_stems = config.model_copy(update={"proposers": ("stems",)})
+    answer = Localizer(prior_map, by_stems).localize(query)
+    assert answer.localized and answer.proposer == "stems", answer.message
     assert np.linalg.norm(answer.T_map_sensor[:3, 3] - T[:3, 3]) < 0.3
-    refused = Localizer(mirrored(prior_map), config).localize(query)
+    refused = Localizer(mirrored(prior_map), by_stems).localize(query)
     assert refused.reason in (Reason.TOO_UNCERTAIN, Reason.NOT_IN_MAP)

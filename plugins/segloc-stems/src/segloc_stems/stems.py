@@ -9,10 +9,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ... import _native, geometry
-from ...frontend.local_cloud import Accumulator, LocalCloudConfig, Scans
-from ...frontend.segmentation import SegmentationConfig, heights_above_ground
-from ...types import Float32, Float64, Int64, LocalCloud
+from segloc import _native, geometry
+from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig, Scans
+from segloc.frontend.segmentation import SegmentationConfig, heights_above_ground
+from segloc.types import Float32, Float64, Int64, LocalCloud
+
 from .config import StemConfig
 from .landmarks import Landmarks
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from ...system.section import Section
-from ..pose import PoseConfig
+from segloc.proposals.pose import PoseConfig
+from segloc.system.section import Section
 
 
 class StemConfig(Section):
     """Detection and use of stems in clouds."""
 
-    enabled: bool = Field(
-        True, description="search by stems, poles and columns if segments are inconclusive"
-    )
     fewest: int = Field(6, ge=3, le=1000, description="fewest stems of a query")
     most: int = Field(
         20_000, ge=3, le=10**6, description="most stems of a map, those with most points first"

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...frontend.segmentation import SegmentationConfig
-from ...map.voxel_cloud import VoxelCloud
-from ...prior import Prior
-from ...types import Candidate, Int64
-from ..proposer import Proposals, Query
+from segloc.frontend.segmentation import SegmentationConfig
+from segloc.map.config import BuildConfig
+from segloc.map.segment_map import SegmentMap
+from segloc.map.voxel_cloud import VoxelCloud
+from segloc.prior import Prior
+from segloc.proposals.proposer import Query
+from segloc.types import Candidate, Int64
+
 from .config import Effort, LandmarkConfig, StemConfig
 from .landmark_map import LandmarkMap
 from .localizer import LandmarkLocalizer
@@ -51,9 +54,13 @@ class StemProposer:
         self._localizer: LandmarkLocalizer | None = None
 
     name = "stems"
-    exhaustive = False
 
-    def propose(self, query: Query, prior: Prior | None = None) -> Proposals:
+    @classmethod
+    def of(cls, prior_map: SegmentMap, config: BuildConfig) -> StemProposer:
+        """Return the proposer of a map: the entry point of the group ``segloc.proposers``."""
+        return cls(prior_map.voxel_cloud, segmentation=config.segmentation)
+
+    def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose poses by the stems of a query; none if it has few.
 
         The prior is not used: there are few stems, and a pose elsewhere reveals an alias.
@@ -65,14 +72,13 @@ class StemProposer:
         nearest = np.argsort(np.hypot(columns[:, 0], columns[:, 1]), kind="stable")
         columns = columns[np.sort(nearest[:MAX_STEMS])]
         if len(columns) < self.config.fewest:
-            return Proposals([])
+            return []
         if self._localizer is None:  # concurrent callers build it twice, harmlessly
             self._localizer = LandmarkLocalizer(self._stem_map(), LandmarkConfig(efforts=(EFFORT,)))
         search, _ = self._localizer.search(columns)
         least = max(MIN_SUPPORT, MIN_SHARE * len(columns))
         found = [a for a in search.agreements if a.support >= least]
-        candidates = [Candidate(a.T_map_local, 0, a.support / len(columns)) for a in found]
-        return Proposals(candidates, search.reason is None)
+        return [Candidate(a.T_map_local, 0, a.support / len(columns)) for a in found]
 
     def _stem_map(self) -> LandmarkMap:
         stems = self._finder.find(self._cloud.points, spacing=self._cloud.voxel)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples import stems
+from segloc_stems import LandmarkMap, LandmarkMapper, Landmarks
+from segloc_stems.landmarks import levelling
 
 from segloc import geometry
 from segloc.errors import InvalidScan
-from segloc.proposals.landmarks import LandmarkMap, LandmarkMapper, Landmarks
-from segloc.proposals.landmarks.landmarks import levelling
 
 THREE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 7, 1]])
 

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...errors import ConfigError, InvalidScan
-from ...geometry import Separation
-from ...likelihood.posterior import Posterior, ScoredPose
-from ...localization import Localization, Localized, NotLocalized, Place, Reason
-from ...system.stage_times import Clock, StageTimes
-from ...types import Candidate, Float64, Matches, Pose
-from ..pose import PoseEstimator
+from segloc.errors import ConfigError, InvalidScan
+from segloc.geometry import Separation
+from segloc.likelihood.posterior import Posterior, ScoredPose
+from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
+from segloc.proposals.pose import PoseEstimator
+from segloc.system.stage_times import Clock, StageTimes
+from segloc.types import Candidate, Float64, Matches, Pose
+
 from .agreement import Agreement, MapLandmarks
 from .config import LandmarkConfig
 from .landmark_map import LandmarkMap

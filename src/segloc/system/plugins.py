@@ -1,0 +1,28 @@
+"""What other packages add to segloc, by entry points."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+
+@cache
+def plugins(group: str) -> tuple[dict[str, Any], dict[str, str]]:
+    """Load the entry points of a group.
+
+    Returns
+    -------
+    dict
+        Objects by name.
+    dict
+        Faults by name, of those that cannot be loaded: a broken package must not break segloc.
+    """
+    loaded: dict[str, Any] = {}
+    faults: dict[str, str] = {}
+    for entry in entry_points(group=group):
+        try:
+            loaded[entry.name] = entry.load()
+        except Exception as error:
+            faults[entry.name] = f"{entry.value}: {error}"
+    return loaded, faults
