@@ -12,6 +12,7 @@ LAYERS = (
     "__main__",
     "cli",
     ROOT,
+    "mapping",
     "batch live loops export",
     "inspect doctor sample",
     "datasets",
@@ -40,6 +41,12 @@ ONLY["datasets"] = ONLY["io"] | {"io"}
 ONLY["sample"] = ONLY["io"] | {"datasets"}
 """Rooms that import no others than these: recordings know nothing of the method."""
 
+CONVENIENCES = {
+    "map.segment_map": {"mapping", "map.from_cloud", "map.config", "inspect.plots"},
+    "localization": {"inspect.plots"},
+}
+"""What methods such as ``SegmentMap.from_scans`` import from above when they are called."""
+
 PACKAGES = {
     "numpy": "*",
     "scipy": "*",
@@ -66,7 +73,11 @@ PACKAGES = {
 
 @functools.cache
 def package() -> Package:
-    return Package(PROJECT / "src" / "segloc", native=frozenset({"_native"}))
+    found = Package(PROJECT / "src" / "segloc", native=frozenset({"_native"}))
+    for module, targets in CONVENIENCES.items():
+        assert targets <= found.imports[module], f"{module} no longer imports some of {targets}"
+        found.imports[module] -= targets
+    return found
 
 
 HEIGHT = {room: height for height, layer in enumerate(LAYERS) for room in layer.split()}

@@ -70,9 +70,9 @@ if TYPE_CHECKING:
     from .localization import Localization, Localized, NotLocalized, Reason
     from .localizer import Localizer
     from .loops import LoopDetector, align_sessions, align_to_map
-    from .map.build import build_map
     from .map.segment_map import SegmentMap
     from .map.update import update_map
+    from .mapping import build_map
     from .prior import Prior
     from .tracker import Tracker
     from .types import LocalCloud, MemoryRecording, Recording, Scan
@@ -88,9 +88,9 @@ else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
             "localization": "Localization Localized NotLocalized Reason",
             "localizer": "Localizer",
             "loops": "LoopDetector align_sessions align_to_map",
-            "map.build": "build_map",
             "map.segment_map": "SegmentMap",
             "map.update": "update_map",
+            "mapping": "build_map",
             "prior": "Prior",
             "tracker": "Tracker",
             "types": "LocalCloud MemoryRecording Recording Scan",

@@ -9,7 +9,6 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from . import geometry
-from .system import from_above
 from .types import AttitudeSource, Float64, Pose
 
 if TYPE_CHECKING:
@@ -223,8 +222,10 @@ class _Answer:
         MissingDependency
             If matplotlib is not installed.
         """
-        drawn: Axes = from_above("inspect.plots", "plot_result")(self, prior_map, axes)
-        return drawn
+        from .inspect.plots import plot_result
+
+        answer: Any = self  # one of the two that this is the base of
+        return plot_result(answer, prior_map, axes)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

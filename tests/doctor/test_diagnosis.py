@@ -12,7 +12,7 @@ from samples.real import real
 from samples.walk import Points, Poses, Walk, run, written
 from scipy.spatial.transform import Rotation
 
-from segloc import geometry
+from segloc import DatasetError, SegmentMap, build_map, geometry
 from segloc.datasets import open_sequence
 from segloc.datasets.signature import signature
 from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findings
@@ -167,6 +167,19 @@ def test_scans_of_a_narrow_sensor_are_compared_where_they_share_their_view() -> 
         means, fault, _ = POSES[name]
         (finding,) = pose_findings(Reposed(walk, means(walk.poses)))
         assert finding.fault is fault, name
+
+
+def test_python_refuses_to_map_what_the_command_line_refuses() -> None:
+    walk = Walk()
+    assert walk.poses is not None
+    for name in ("inverse", "wxyz", "millimetres"):
+        means, _, what = POSES[name]
+        with pytest.raises(DatasetError, match=f"{what}.*; check=False builds the map anyway"):
+            SegmentMap.from_scans(Reposed(walk, means(walk.poses)))
+    there = [geometry.transform(T, walk.scan(k).points) for k, T in enumerate(walk.poses)]
+    with pytest.raises(DatasetError, match="already in world coordinates"):
+        build_map(there, poses=walk.poses)
+    assert len(build_map(there, poses=walk.poses, check=False))
 
 
 def test_points_for_missing_returns_are_counted_and_are_no_problem(tmp_path: Path) -> None:

@@ -105,16 +105,12 @@ def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> Non
     DatasetError
         With the fault and its remedy.
     """
-    from ..doctor import Fault, first_fault
+    from ..doctor import require_mappable
 
     with busy("Checking scans against poses"):
-        finding = first_fault(recording, config)
-    if finding is None or not finding.wrong:
-        return
-    if finding.fault in (Fault.POSES_OFF, Fault.ONLY_GROUND):
+        finding = require_mappable(recording, config, path, "--unchecked")
+    if finding is not None:
         note(str(finding))
-        return
-    raise DatasetError(f"{path}: {finding}; --unchecked builds the map anyway")
 
 
 def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) -> Recording:

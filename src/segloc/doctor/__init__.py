@@ -7,4 +7,5 @@ from .recording import Examination as Examination
 from .recording import examine as examine
 from .recording import first_fault as first_fault
 from .recording import hint as hint
+from .recording import require_mappable as require_mappable
 from .scan_faults import scan_findings as scan_findings

@@ -202,6 +202,39 @@ def first_fault(
     return next(iter(sorted(found, key=lambda finding: not finding.wrong)), None)
 
 
+_MAPPABLE = (Fault.POSES_OFF, Fault.ONLY_GROUND)
+"""Faults of recordings whose maps are of some use."""
+
+
+def require_mappable(
+    recording: Recording, config: LocalCloudConfig, name: object, insist: str
+) -> Finding | None:
+    """Reject a recording that would smear a map; return a smaller fault, if there is one.
+
+    Parameters
+    ----------
+    recording : Recording
+        With poses.
+    config : LocalCloudConfig
+        Mount of the sensor.
+    name : object
+        Name of the recording in the message.
+    insist : str
+        What builds the map anyway.
+
+    Raises
+    ------
+    DatasetError
+        With the fault and its remedy.
+    """
+    finding = first_fault(recording, config)
+    if finding is None or not finding.wrong:
+        return None
+    if finding.fault in _MAPPABLE:
+        return finding
+    raise DatasetError(f"{name}: {finding}; {insist} builds the map anyway")
+
+
 def sampled(recording: Recording, count: int) -> list[Scan]:
     """Return readable scans spread over a recording."""
     scans = []

@@ -8,6 +8,7 @@ About viewpoints on a lattice free space stays unknown.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,8 +111,9 @@ class ThinCloud:
             If they are something else.
         """
         cloud = cls()
-        parts = isinstance(points, Iterable) and not hasattr(points, "__array__")
-        for part in points if parts and not isinstance(points, str) else [points]:
+        given: Any = points  # whatever may be points is one part
+        parts = isinstance(given, Iterable) and not hasattr(given, "__array__")
+        for part in given if parts and not isinstance(given, str) else [given]:
             cloud.add(part)
         cloud.thin()
         if not len(cloud):

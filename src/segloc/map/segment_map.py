@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MapMismatch, SeglocError
-from ..system import from_above
-from ..system.section import Section
 from ..types import Descriptors, Float32, Float64, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
@@ -24,6 +22,8 @@ from .voxel_cloud import VoxelCloud
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from .config import BuildConfig
 
 Array = NDArray[Any]
 Int32 = NDArray[np.int32]
@@ -115,7 +115,12 @@ class SegmentMap:
 
     @classmethod
     def from_scans(
-        cls, scans: Scanned, poses: ArrayLike | None = None, config: Section | None = None
+        cls,
+        scans: Scanned,
+        poses: ArrayLike | None = None,
+        config: BuildConfig | None = None,
+        *,
+        check: bool = True,
     ) -> SegmentMap:
         """Build a map from scans with poses, as :func:`segloc.build_map` does.
 
@@ -126,20 +131,24 @@ class SegmentMap:
             T_map_sensor of each scan; by default the scans' own ``T_odom_sensor``.
         config : Config, optional
             By default that of the default method.
+        check : bool
+            False to build the map even if scans and poses mismatch.
 
         Raises
         ------
         SeglocError
-            If a scan or a pose is invalid, poses are missing, or there are no segments.
+            If a scan or a pose is invalid, poses are missing or mismatch the scans, or there are no
+            segments.
         """
-        built: SegmentMap = from_above("map.build", "build_map")(scans, config, poses=poses)
-        return built
+        from ..mapping import build_map
+
+        return build_map(scans, config, poses=poses, check=check)
 
     @classmethod
     def from_cloud(
         cls,
         points: NDArray[np.floating] | Iterable[NDArray[np.floating]],
-        config: Section | None = None,
+        config: BuildConfig | None = None,
         *,
         trajectory: ArrayLike | None = None,
         sensor_height: float | None = None,
@@ -165,11 +174,10 @@ class SegmentMap:
         SeglocError
             If the cloud is invalid, or has no segments.
         """
+        from .from_cloud import build_from_cloud
+
         more = {} if sensor_height is None else {"sensor_height": sensor_height}
-        built: SegmentMap = from_above("map.from_cloud", "build_from_cloud")(
-            points, config, trajectory=trajectory, progress=progress, **more
-        )
-        return built
+        return build_from_cloud(points, config, trajectory=trajectory, progress=progress, **more)
 
     # --- contents ------------------------------------------------------------------------------
 
@@ -457,8 +465,9 @@ class SegmentMap:
         MissingDependency
             If matplotlib is not installed.
         """
-        drawn: Axes = from_above("inspect.plots", "plot_map")(self, axes)
-        return drawn
+        from ..inspect.plots import plot_map
+
+        return plot_map(self, axes)
 
     # --- files ---------------------------------------------------------------------------------
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any
-
-_PACKAGE = __package__.rpartition(".")[0]
 
 
 def lazy(
@@ -33,12 +30,3 @@ def lazy(
         return sorted({*vars(sys.modules[package]), *homes})
 
     return get, listed
-
-
-def from_above(module: str, name: str) -> Any:
-    """Return an attribute of a module of this package, imported when a method is first called.
-
-    For conveniences only, such as ``SegmentMap.from_scans``, that use packages above their own; no
-    stage of a query uses it.
-    """
-    return getattr(importlib.import_module(f"{_PACKAGE}.{module}"), name)
