@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
+from samples.io import pcd
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import run
+from scipy.spatial.transform import Rotation
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap
 from segloc.map import voxel_cloud
@@ -14,6 +21,8 @@ from segloc.types import Float64
 
 CONFIG = Config(threads=1)
 UTM = np.array([500_000.25, 5_400_000.5, 300.0])
+TILTED = Rotation.from_euler("xy", [12, 16], degrees=True).as_matrix()
+CAMERA = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +104,11 @@ def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(-20, 20, (30, 2))
     poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
-    site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG)
+    notes: list[str] = []
+    site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, note=notes.append)
     assert len(site) and len(site.trajectory) > 1
     assert not len(site.sensor_positions)
+    assert any("no ground" in note and "--trajectory" in note for note in notes)
 
 
 def test_what_is_no_cloud_is_refused() -> None:
@@ -105,8 +116,101 @@ def test_what_is_no_cloud_is_refused() -> None:
         SegmentMap.from_cloud(np.full((5, 3), np.nan), CONFIG)
     with pytest.raises(InvalidScan, match="floating point"):
         SegmentMap.from_cloud(np.zeros((5, 3), np.int64), CONFIG)
-    with pytest.raises(DatasetError, match="z axis"):
+    with pytest.raises(DatasetError, match="no points: 5 exactly 0, 0, 0"):
         SegmentMap.from_cloud(np.zeros((5, 3)), CONFIG)
+    with pytest.raises(DatasetError, match="z axis"):
+        SegmentMap.from_cloud(np.ones((5, 3)), CONFIG)
+
+
+def pcd_file(path: Path, points: Float64, size: int = 8) -> Path:
+    rows = np.zeros(len(points), [(axis, f"<f{size}") for axis in "xyz"])
+    for axis, values in zip("xyz", points.T, strict=True):
+        rows[axis] = values
+    path.write_bytes(pcd(rows, "binary"))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("points", "cause", "remedy"),
+    [
+        (lambda p: 1000 * p, "millimetres", "divide it by 1000"),
+        (lambda p: 100 * p, "centimetres", "divide it by 100;"),
+        (lambda p: p @ CAMERA.T, "a camera's", "--level"),
+        (lambda p: p[:, [1, 2, 0]], "the y axis points up", "--level"),
+        (lambda p: p * [1, -1, -1], "the z axis points down", "--level"),
+        (lambda p: p @ TILTED.T, "tilted by 19.9 degrees", "--level"),
+        (lambda p: np.vstack([p, p + 2e5]), "another frame or unit", "--unchecked"),
+    ],
+)
+def test_a_cloud_in_another_unit_or_frame_is_refused_before_the_work(
+    plaza: Plaza,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    points: Callable[[Float64], Float64],
+    cause: str,
+    remedy: str,
+) -> None:
+    file, out = pcd_file(tmp_path / "cloud.pcd", points(plaza.points)), tmp_path / "a.segmap"
+    assert run("map", "from-cloud", file, "--out", out) == 1
+    (error,) = capsys.readouterr().err.splitlines()
+    assert cause in error and remedy in error
+    assert not out.exists()
+
+
+def test_digits_that_float32_lost_are_refused_with_their_step(
+    plaza: Plaza, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = pcd_file(tmp_path / "utm.pcd", plaza.points + UTM, size=4), tmp_path / "a.segmap"
+    assert run("map", "from-cloud", file, "--out", out) == 1
+    assert "y comes in steps of 0.5 m" in capsys.readouterr().err
+    assert run("map", "from-cloud", file, "--out", out, "--unchecked") == 0
+
+
+@pytest.mark.parametrize("R", [TILTED, CAMERA @ TILTED])
+def test_a_turned_cloud_is_levelled_and_answers_are_known_in_its_own_frame(
+    plaza: Plaza, tmp_path: Path, R: Float64
+) -> None:
+    file, out = pcd_file(tmp_path / "cloud.pcd", plaza.points @ R.T), tmp_path / "a.segmap"
+    assert run("map", "from-cloud", file, "--out", out, "--level", "--threads", 1) == 0
+    site = SegmentMap.load(out)
+    T_map_cloud = np.array(json.loads(site.metadata["T_map_cloud"]))
+    up = T_map_cloud[:3, :3] @ R[:, 2]
+    assert np.degrees(np.arccos(up[2])) < 0.5
+    localizer, walk = Localizer(site), PlazaSequence(plaza, 6, posed=False)
+    found = [localizer.localize(walk.scan(i)) for i in range(len(walk))]
+    errors = [
+        np.linalg.norm((np.linalg.inv(T_map_cloud) @ r.T_map_sensor)[:3, 3] - R @ T[:3, 3])
+        for r, T in zip(found, walk.poses, strict=True)
+        if r.T_map_sensor is not None
+    ]
+    assert len(errors) >= 5
+    assert max(errors) < 0.5
+
+
+def test_a_trajectory_is_turned_with_its_cloud(plaza: Plaza) -> None:
+    walk, T = PlazaSequence(plaza, 6), np.eye(4)
+    T[:3, :3] = TILTED
+    config = Config(threads=1, mapping={"level": True})
+    site = SegmentMap.from_cloud(plaza.points @ TILTED.T, config, trajectory=T @ walk.poses)
+    np.testing.assert_allclose(site.trajectory[:, 2, 3], walk.poses[:, 2, 3], atol=0.3)
+
+
+def test_stray_points_are_left_out_and_counted(
+    site: SegmentMap, plaza: Plaza, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    strays = [[7e5, 0, 0], [0, 0, -1e12], [1e300, 1, 1], [np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0]]
+    points = np.vstack([strays[-1:], plaza.points[:99], strays[:-1], plaza.points[99:]])
+    file, out = pcd_file(tmp_path / "cloud.pcd", points), tmp_path / "a.segmap"
+    assert run("map", "from-cloud", file, "--out", out) == 0
+    told = capsys.readouterr().err
+    assert "left out: 2 not finite, 1 exactly 0, 0, 0, 3 more than 100 km from the others" in told
+    np.testing.assert_array_equal(SegmentMap.load(out).vectors, site.vectors)
+
+
+def test_there_is_nothing_to_remark_on_a_good_cloud(plaza: Plaza) -> None:
+    notes: list[str] = []
+    site = SegmentMap.from_cloud(plaza.points, CONFIG, note=notes.append)
+    assert not notes and "frame" not in site.metadata
 
 
 def test_a_thin_cloud_holds_a_point_a_voxel() -> None:

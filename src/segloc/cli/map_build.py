@@ -18,13 +18,6 @@ if TYPE_CHECKING:
     from ..map.georeference import Georeference
 
 
-def _mapped_so(config: Config, *, compact: bool, level: bool) -> Config:
-    """Return the configuration with the options of the map."""
-    mapping = config.mapping.smallest() if compact else config.mapping
-    mapping = mapping.model_copy(update={"level": level or mapping.level})
-    return config.model_copy(update={"mapping": mapping})
-
-
 def build(
     sequences: Annotated[
         list[Path],
@@ -68,10 +61,12 @@ def build(
     options.check_every(every)
     checked_target(out)
     where = options.parsed_georeference(epsg, origin)
-    settings = _mapped_so(
-        options.load_config(config, method, threads, weights), compact=compact, level=level
-    )
-    _check_level(sequences, settings, where is not None)
+    settings = options.load_config(config, method, threads, weights)
+    if compact:
+        settings = settings.model_copy(update={"mapping": settings.mapping.smallest()})
+    settings = options.with_level(settings, level, where)
+    if settings.mapping.level and len(sequences) > 1:
+        raise ConfigError("--level applies to one recording; several must share a level frame")
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
     mount = settings.local_cloud.mount
@@ -135,10 +130,3 @@ def _posed(paths: list[Path], recordings: Iterator[Sequence]) -> list[Sequence]:
                 f"{path}: a map needs a pose for every scan: pass --poses FILE, or use --odometry"
             )
     return posed
-
-
-def _check_level(sequences: list[Path], settings: Config, georeferenced: bool) -> None:
-    if settings.mapping.level and len(sequences) > 1:
-        raise ConfigError("--level applies to one recording; several must share a level frame")
-    if settings.mapping.level and georeferenced:
-        raise ConfigError("--level changes the frame, so --epsg does not apply: omit one")

@@ -32,15 +32,24 @@ def from_cloud(
         float,
         typer.Option(min=0.1, max=10, metavar="METRES", help="Height of viewpoints above ground."),
     ] = 1.0,
+    level: Annotated[
+        bool,
+        typer.Option("--level", help="Turn the cloud so that z is up, by its floors and walls."),
+    ] = False,
     epsg: options.Epsg = None,
     method: options.Method = None,
     config: options.ConfigFile = None,
     weights: options.Weights = None,
     threads: options.Threads = 0,
+    unchecked: Annotated[
+        bool,
+        typer.Option("--unchecked", help="Build the map even if unit or axes seem wrong."),
+    ] = False,
 ) -> None:
     """Build a map from one finished point cloud, without scans or poses.
 
-    The cloud stays in its own frame, whose z axis must point up; UTM coordinates are kept.
+    The cloud stays in its own frame, whose z axis must point up, unless --level turns it; UTM
+    coordinates are kept.
     """
     from ..io import read_trajectory
     from ..io.clouds import read_cloud
@@ -51,6 +60,7 @@ def from_cloud(
     checked_target(out)
     where = options.parsed_georeference(epsg, None)
     settings = options.load_config(config, method, threads, weights)
+    settings = options.with_level(settings, level, where)
     poses = None if trajectory is None else read_trajectory(trajectory).poses
     with progress("Reading and mapping the cloud") as update:
         prior_map = build_from_cloud(
@@ -58,9 +68,9 @@ def from_cloud(
             settings,
             trajectory=poses,
             sensor_height=sensor_height,
+            check=not unchecked,
             progress=update,
+            note=note,
         )
     prior_map.metadata["sequence"] = cloud.name
     save_and_show(prior_map, out, where)
-    if frame := prior_map.metadata.get("frame"):
-        note(f"the cloud's frame is {frame}: level the cloud for good results")

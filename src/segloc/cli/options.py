@@ -202,6 +202,14 @@ def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | 
     return Georeference(epsg, (east, north, height))
 
 
+def with_level(config: Config, level: bool, where: Georeference | None) -> Config:
+    """Return the configuration with --level; its map has no georeference, as its frame changes."""
+    mapping = config.mapping.model_copy(update={"level": level or config.mapping.level})
+    if mapping.level and where is not None:
+        raise ConfigError("--level changes the frame, so --epsg does not apply: omit one")
+    return config.model_copy(update={"mapping": mapping})
+
+
 def load_config(
     path: Path | None, method: str | None, threads: int, weights: Path | None = None
 ) -> Config:

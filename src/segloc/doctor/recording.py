@@ -292,7 +292,8 @@ def _cause(
         finding = first_fault(as_recording(scans), config)
     except SeglocError:
         finding = None
-    frame = None if "T_map_odom" in metadata else metadata.get("frame")
+    is_level = {"T_map_odom", "T_map_cloud"} & metadata.keys()
+    frame = None if is_level else metadata.get("frame")
     if frame and not (finding is not None and finding.wrong):
         return f"the map's frame is {frame}. Build the map with --level"
     return None if finding is None else str(finding)

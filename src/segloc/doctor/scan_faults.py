@@ -6,22 +6,16 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from .. import _native, geometry
+from .. import geometry
 from ..datasets.signature import beam_axis, signature
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
 from ..frontend.reach import BEYOND_M, is_far_blob, median_range
 from ..frontend.segmentation import Segmentation, Segmenter
+from ..frontend.surfaces import Surfaces
 from ..types import Float32, Float64, Scan
 from .finding import Fault, Finding
 
-_NEAR_M, _VOXEL_M = 25.0, 0.4
-_MIN_PLACES = 50
-_NEIGHBOURS, _SUPPORT_M = 12, 2.5
-_FLAT = 0.05  # variance across a flat place, as a share of that along its narrower direction
-_BROAD = 0.1  # variance of its narrower direction as a share of the other; one beam is a line
 _ALONG = 0.94  # cosine of 20 degrees, between a normal and its axis
 _BESIDE_M = 0.3  # surfaces this close to the sensor's own height are on neither side
 
@@ -32,14 +26,9 @@ def _floors(points: Float32) -> tuple[Float64, Float64] | None:
     Return, on the negative and the positive side across x, y and z (3, 2), the share of the flat
     places that are there, in [0, 1], and their median distance along the axis [m], NaN without any.
     """
-    near = points[np.einsum("ij,ij->i", points, points) < _NEAR_M**2]
-    places = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M).astype(np.float64)
-    if len(places) < _MIN_PLACES:
+    if (found := Surfaces.of(points)) is None:
         return None
-    normals, flat = _normals(places)
-    places, normals = places[flat], normals[flat]
-    if len(places) < _MIN_PLACES:
-        return None
+    places, normals = found.places, found.normals
     shares, metres = np.zeros((3, 2)), np.full((3, 2), np.nan)
     for axis, side in np.ndindex(3, 2):
         off = places[:, axis] * (-1.0, 1.0)[side]
@@ -47,17 +36,6 @@ def _floors(points: Float32) -> tuple[Float64, Float64] | None:
         shares[axis, side] = chosen.mean()
         metres[axis, side] = np.median(off[chosen]) if chosen.any() else np.nan
     return shares, metres
-
-
-def _normals(places: Float64) -> tuple[Float64, NDArray[np.bool_]]:
-    """Return the normal of the surface at each place (N, 3), and whether it is flat."""
-    found = cKDTree(places).query(places, k=_NEIGHBOURS)
-    distances, rows = np.asarray(found[0]), np.asarray(found[1])
-    spread = places[rows] - places[rows].mean(axis=1, keepdims=True)
-    values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread))
-    flat = (values[:, 0] < _FLAT * values[:, 1]) & (values[:, 1] > _BROAD * values[:, 2])
-    flat &= distances[:, -1] < _SUPPORT_M
-    return axes[:, :, 0], flat
 
 
 _MIN_POINTS = 200  # of a scan

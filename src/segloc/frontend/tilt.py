@@ -24,6 +24,7 @@ _VIEW_POINTS = 40_000  # of a view: one scan of many beams, or several sweeps
 _SCANS_IN_MEMORY = 64
 _TOLERANCES_DEG = (15.0, 10.0, 6.0, 4.0, 3.0, 3.0)
 _MIN_WALLS = 100  # normals
+_MIN_FLOORS = 4  # views with floors
 _MIN_CROSSING = 0.05  # share of walls normal to the others
 _MAX_SPREAD = 1 / 3  # difference between two halves of the views, as a share of the tilt
 _Z = np.array([0.0, 0.0, 1.0])
@@ -55,11 +56,14 @@ class Tilt:
         return self.tilt_deg > MIN_TILT_DEG and self.spread_deg < _MAX_SPREAD * self.tilt_deg
 
 
-def frame_tilt(recording: Recording, config: LocalCloudConfig) -> Tilt | None:
+def frame_tilt(
+    recording: Recording, config: LocalCloudConfig, *, by_floors: bool = False
+) -> Tilt | None:
     """Estimate the tilt of the frame of poses from walls in views along the trajectory.
 
-    Only walls are used, since ground may rise over long stretches. None without poses, with too
-    few walls, or if all walls face one way.
+    Only walls are used, since ground may rise over long stretches. With too few walls, or if all
+    face one way, it is None, or with ``by_floors`` the median of the floors of the views. None
+    without poses.
 
     Raises
     ------
@@ -86,8 +90,15 @@ def frame_tilt(recording: Recording, config: LocalCloudConfig) -> Tilt | None:
     up = _across_walls(np.concatenate(normals), about)
     halves = [_across_walls(np.concatenate(part), about) for part in _halves(normals)]
     if up is None or halves[0] is None or halves[1] is None:
-        return None
+        return _of_floors(ups) if by_floors else None
     return Tilt(up, angle_deg(halves[0], halves[1]))
+
+
+def _of_floors(ups: list[Float64]) -> Tilt | None:
+    if len(ups) < _MIN_FLOORS:
+        return None
+    first, second, up = (np.median(part, axis=0) for part in (ups[::2], ups[1::2], ups))
+    return Tilt(up / np.linalg.norm(up), angle_deg(first, second))
 
 
 def _positions(poses: Float64) -> list[int]:

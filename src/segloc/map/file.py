@@ -78,8 +78,8 @@ FIELDS = {
     "cloud_voxel": "edge of a voxel of the cloud [m], as Python's `repr` of a float",
     _CODING: "JSON object, in version 2 only: how each tensor is packed",
     "metadata": "JSON object of text to text: `config` (YAML of the build), `sequence`, `frame` (a "
-    "sentence, if the frame is tilted or was levelled), `T_map_odom` (JSON, 4 rows of 4 numbers, "
-    "if levelled), `georeference`, and keys of users",
+    "sentence, if the frame is tilted or was levelled), `T_map_odom`, of a cloud `T_map_cloud` "
+    "(JSON, 4 rows of 4 numbers, if levelled), `georeference`, and keys of users",
     _CHECKSUM: "checksum of the header",
     f"{_CHECKSUM}.NAME": "checksum of tensor NAME, one key per tensor",
 }

@@ -7,8 +7,9 @@ About viewpoints on a lattice free space stays unknown.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,15 +17,34 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _native, geometry
 from ..descriptors import create
 from ..errors import DatasetError
+from ..frontend.gravity import AttitudeConfig
 from ..frontend.segmentation import Segmenter, heights_above_ground
-from ..frontend.tilt import frame_tilt
-from ..system.checks import checked_poses, point_rows
-from ..types import Float32, Float64, LocalCloud, MemoryRecording
+from ..system.checks import MAX_LOCAL_METRES, checked_poses, point_rows
+from ..types import Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
+from .cloud_frame import (
+    LEVEL,
+    UNCHECKED,
+    CloudFrame,
+    Dropped,
+    cloud_frame,
+    step_fault,
+    unit_fault,
+)
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
 from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
-from .viewpoints import AROUND_M, SPACING_M, Ground, Occluders, Sight, Uncovered, tops
+from .viewpoints import (
+    AROUND_M,
+    SPACING_M,
+    Bools,
+    Ground,
+    Occluders,
+    Sight,
+    Uncovered,
+    cells_below,
+    tops,
+)
 from .voxel_cloud import thin
 
 SENSOR_HEIGHT_M = 1.0
@@ -37,10 +57,16 @@ VOXEL_M, OCCLUDER_M = 0.1, 0.3
 _COLUMN_M, _MAX_PENDING = 16.0, 4_000_000
 _LOW_PERCENT = 10.0  # of the heights in a square of the lattice
 _MARGIN_M = 10.0  # around a column whose ground is sought
-_LEAN_VIEWS, _LEAN_RADIUS_M = 12, 20.0
+_FRAME_VIEWS, _FRAME_RADIUS_M, _FRAME_POINTS = 12, 20.0, 200
+_MIN_CHECKED = 1000  # points of which unit and steps can be told
+_MAX_FAR = 0.01  # share of the points that may be strays
+_MIN_GROUND = 0.05  # free ground, as a share of the area
+_S_PER_VOXEL, _BYTES_PER_VOXEL, _BYTES = 18e-6, 200, 1e8  # of one core and of the memory
+_LONG_S = 20.0
 
 Points = NDArray[np.floating]
 Progress = Callable[[int, int], None]
+Note = Callable[[str], None]
 Seen = tuple[Float64, Float32]
 """A viewpoint, (3,), and the points that are visible from it, (N, 3)."""
 
@@ -52,10 +78,13 @@ class ThinCloud:
     ----------
     origin : (3,) float64
         Points are kept relative to it, as float32.
+    dropped : Dropped
+        Points that were left out.
     """
 
     def __init__(self) -> None:
         self.origin: Float64 = np.zeros(3)
+        self.dropped = Dropped()
         self._columns: dict[tuple[int, int], list[Float32]] = {}
         self._occluders: dict[tuple[int, int], Occluders] = {}
         self._pending = self._thinned = 0
@@ -64,19 +93,23 @@ class ThinCloud:
         return self._thinned
 
     def add(self, points: Points) -> None:
-        """Add (N, >=3) points; those that are not finite are left out.
+        """Add (N, >=3) points; leave out those that are no part of the cloud, and count them.
 
         Raises
         ------
         InvalidScan
             If they are something else.
         """
-        points = point_rows(points, "cloud")
-        points = points[:, :3][np.isfinite(points[:, :3]).all(axis=1)]
+        points = point_rows(points, "cloud")[:, :3]
+        points = points[self._usable(points)]
         if not len(points):
             return
         if not self._columns:
             self.origin = np.round(np.median(points, axis=0)).astype(np.float64)
+        near = np.asarray((np.abs(points - self.origin) <= MAX_LOCAL_METRES).all(axis=1))
+        if not near.all():
+            self.dropped.far += int((~near).sum())
+            points = points[near]
         local = (points - self.origin).astype(np.float32)
         cells = np.floor(local[:, :2] / _COLUMN_M).astype(np.int64)
         order = np.lexsort((cells[:, 0], cells[:, 1]))
@@ -87,6 +120,15 @@ class ThinCloud:
         self._pending += len(local)
         if self._pending > max(_MAX_PENDING, self._thinned // 2):
             self.thin()
+
+    def _usable(self, points: Points) -> Bools:
+        """Tell which points (N, 3) were measured: finite, and not the zeros of missing returns."""
+        usable: Bools = np.asarray(np.isfinite(points).all(axis=1), np.bool_)
+        self.dropped.not_finite += int((~usable).sum())
+        zeros: Bools = np.asarray(~points.any(axis=1), np.bool_)
+        self.dropped.zeros += int(zeros.sum())
+        measured: Bools = usable & ~zeros
+        return measured
 
     def thin(self) -> None:
         """Thin what was added since the last time."""
@@ -111,14 +153,32 @@ class ThinCloud:
             If they are something else.
         """
         cloud = cls()
-        given: Any = points  # whatever may be points is one part
-        parts = isinstance(given, Iterable) and not hasattr(given, "__array__")
-        for part in given if parts and not isinstance(given, str) else [given]:
+        for part in _listed(points):
             cloud.add(part)
         cloud.thin()
         if not len(cloud):
-            raise DatasetError("the cloud has no points")
+            why = str(cloud.dropped)
+            raise DatasetError(f"the cloud has no points{why and f': {why}'}")
         return cloud
+
+    def moved(self, T: Pose) -> ThinCloud:
+        """Return the cloud in another frame."""
+        parts = (geometry.transform(T, column + self.origin) for column in self.columns())
+        return ThinCloud.of(parts)
+
+    def box(self) -> Float64:
+        """Return the lowest and the highest coordinates in the cloud's frame [m], (2, 3)."""
+        ends = np.array([(part.min(axis=0), part.max(axis=0)) for part in self.columns()])
+        return np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)]) + self.origin
+
+    def frame(self, attitude: AttitudeConfig) -> CloudFrame:
+        """Tell how the frame lies, by views spread over the cloud."""
+        full = sorted(k for k, parts in self._columns.items() if len(parts[0]) >= _FRAME_POINTS)
+        full = full or sorted(self._columns)
+        keys = [full[k] for k in geometry.spread(len(full), _FRAME_VIEWS)]
+        eyes = np.array([np.median(self._columns[key][0], axis=0) for key in keys], np.float64)
+        views = [self.near(eye, _FRAME_RADIUS_M) - eye.astype(np.float32) for eye in eyes]
+        return cloud_frame(views, eyes, attitude)
 
     def spacing(self) -> float:
         """The distance of a point to its neighbours [m], at least about a voxel."""
@@ -174,53 +234,142 @@ class ThinCloud:
         return self._occluders[key]
 
 
+def _listed(points: Points | Iterable[Points]) -> Iterable[Points]:
+    """Return the parts of a cloud, or the only one."""
+    if isinstance(points, str) or not isinstance(points, Iterable):
+        return [np.asarray(points)]
+    if isinstance(points, np.ndarray) or hasattr(points, "__array__"):
+        return [np.asarray(points)]
+    return points
+
+
 def build_from_cloud(
     points: Points | Iterable[Points],
     config: BuildConfig | None = None,
     *,
     trajectory: ArrayLike | None = None,
     sensor_height: float = SENSOR_HEIGHT_M,
+    check: bool = True,
     progress: Progress | None = None,
+    note: Note | None = None,
 ) -> SegmentMap:
     """Build a map from one finished cloud.
 
     Parameters
     ----------
     points : (N, >=3) array of any float dtype, or iterable of such arrays
-        In the map's frame [m], whose z axis points up; UTM coordinates as float64.
+        In the map's frame [m], whose z axis points up; UTM coordinates as float64. With
+        ``config.mapping.level`` the cloud is turned so that z points up, by its floors and walls,
+        and ``metadata["T_map_cloud"]`` holds the transform. Points that are not finite, exactly
+        zero, or more than 100 km from the others are left out.
     config : BuildConfig, optional
         Or a :class:`segloc.Config`, which is one; by default that of the default method.
     trajectory : (V, 4, 4) array, optional
-        Poses that the cloud was measured from. By default viewpoints are chosen on free ground, or
-        on a lattice if the cloud has no ground.
+        Poses that the cloud was measured from, in its frame. By default viewpoints are chosen on
+        free ground, or on a lattice if the cloud has no ground.
     sensor_height : float
         Height of chosen viewpoints over the ground [m].
+    check : bool
+        False to build the map even if unit, steps or axes of the coordinates seem wrong.
     progress : callable, optional
         Called with (ground covered, ground in all) by viewpoints.
+    note : callable, optional
+        Called with each remark, one line: points left out, time and memory of a large cloud, a
+        tilted frame, missing ground.
 
     Raises
     ------
     DatasetError
-        If the cloud has no points, or nothing that could be segmented.
+        If the cloud has no points, or nothing that could be segmented; if its points are not in
+        metres, their digits were lost, or z is not up; or if it is to be levelled, and shows too
+        little to do so.
     InvalidScan
         If the points or poses are something else.
     ConfigError
         If ``config`` is none.
     """
-    config = checked_build_config(config)
-    cloud = ThinCloud.of(points)
-    builder, radius = _Builder(cloud, config), config.local_cloud.radius_m
+    config, note = checked_build_config(config), note or _silent
+    cloud = ThinCloud.of(_parts(points, check))
+    _tell_contents(cloud, check, note)
+    cloud, T_map_cloud, metadata = _in_map_frame(cloud, config, check, note)
+    builder, radius = _Builder(cloud, config, metadata), config.local_cloud.radius_m
     if trajectory is not None:
-        path = _local_path(trajectory, cloud.origin)
+        poses = T_map_cloud @ _checked(trajectory)
+        path = np.asarray(poses[:, :3, 3] - cloud.origin)
         builder.add_views(_from_path(cloud, path, radius, progress))
-        return builder.finished(np.asarray(trajectory))
-    builder.add_views(_from_ground(cloud, sensor_height, radius, progress))
+        return builder.finished(poses)
+    builder.add_views(_from_ground(cloud, sensor_height, radius, progress, note))
     if builder.poses:
         return builder.finished(np.array(builder.poses))
     builder.add_views(_from_lattice(cloud, sensor_height, radius))
     found = builder.finished(np.array(builder.poses))
     found.metadata[VIEWPOINTS] = LATTICE
     return found
+
+
+def _silent(_: str) -> None:
+    """Drop a remark."""
+
+
+def _parts(points: Points | Iterable[Points], check: bool) -> Iterator[Points]:
+    """Check unit and steps of the first part before the others are read."""
+    checked = not check
+    for part in _listed(points):
+        if not checked:
+            known = point_rows(part, "cloud")[:, :3]
+            known = known[np.isfinite(known).all(axis=1) & known.any(axis=1)]
+            if len(known) >= _MIN_CHECKED:
+                if fault := step_fault(known) or unit_fault(known):
+                    raise DatasetError(f"{fault}; {UNCHECKED}")
+                checked = True
+        yield part
+
+
+def _tell_contents(cloud: ThinCloud, check: bool, note: Note) -> None:
+    """Tell what was left out, and what a large cloud takes; refuse two clouds in one."""
+    dropped = cloud.dropped
+    if check and dropped.far > _MAX_FAR * (dropped.far + len(cloud)):
+        raise DatasetError(
+            f"{dropped.far} points lie more than {MAX_LOCAL_METRES / 1000:g} km from the first "
+            f"ones: are parts of the cloud in another frame or unit? Otherwise {UNCHECKED}"
+        )
+    if text := str(dropped):
+        note(f"points left out: {text}")
+    seconds = _S_PER_VOXEL * len(cloud)
+    if seconds > _LONG_S:
+        extent = " x ".join(f"{metres:.0f}" for metres in np.ptp(cloud.box(), axis=0))
+        note(
+            f"{extent} m, {len(cloud) / 1e6:.1f} million voxels of {VOXEL_M} m: the map takes "
+            f"about {seconds / 60:.1f} minutes of processor time and "
+            f"{(_BYTES + _BYTES_PER_VOXEL * len(cloud)) / 1e9:.1f} GB of memory"
+        )
+
+
+def _in_map_frame(
+    cloud: ThinCloud, config: BuildConfig, check: bool, note: Note
+) -> tuple[ThinCloud, Pose, dict[str, str]]:
+    """Return the cloud in the map's frame, T_map_cloud, and metadata of that frame."""
+    frame = cloud.frame(config.local_cloud.attitude)
+    if not config.mapping.level:
+        if check:
+            frame.require_up()
+        if not (frame.fault or (frame.tilt is not None and frame.tilt.is_significant)):
+            return cloud, np.eye(4), {}
+        text = frame.fault if frame.tilt is None else tilt_text(frame.tilt)
+        note(f"the cloud's frame is not level: {text}; {LEVEL}")
+        return cloud, np.eye(4), {"frame": text}
+    if frame.T_level_cloud is None:
+        why = frame.fault or "it shows too few floors and walls"
+        raise DatasetError(
+            f"the cloud cannot be levelled: {why}; leave out --level (mapping.level)"
+        )
+    T_map_cloud, at = frame.T_level_cloud, np.clip(np.zeros(3), *cloud.box())
+    T_map_cloud[:3, 3] = at - T_map_cloud[:3, :3] @ at
+    degrees = math.degrees(geometry.rotation_angle(T_map_cloud))
+    text = f"turned by {degrees:.1f} degrees, so that z is up"
+    note(f"the cloud is {text}")
+    kept = {"frame": text, "T_map_cloud": json.dumps(T_map_cloud.tolist())}
+    return cloud.moved(T_map_cloud), T_map_cloud, kept
 
 
 class _Builder:
@@ -232,9 +381,9 @@ class _Builder:
         T_map_local of the views so far.
     """
 
-    def __init__(self, cloud: ThinCloud, config: BuildConfig) -> None:
+    def __init__(self, cloud: ThinCloud, config: BuildConfig, frame: dict[str, str]) -> None:
         self.poses: list[Float64] = []
-        self._cloud, self._config = cloud, config
+        self._cloud, self._config, self._frame = cloud, config, frame
         self._segmenter = Segmenter(config.segmentation)
         self._descriptor = create(config.method, config.threads, config.weights)
         self._map = empty_map(self._descriptor, config, cloud.origin)
@@ -269,17 +418,17 @@ class _Builder:
         built.add_trajectory(trajectory)
         used = config.model_copy(update={"threads": 0})
         built.metadata |= {SOURCE: "cloud", SPACING: f"{cloud.spacing():.2f}"}
-        built.metadata |= {"config": used.to_yaml(), **_frame(cloud, self.poses, config)}
+        built.metadata |= {"config": used.to_yaml(), **self._frame}
         return compacted(built, config.mapping.compact)
 
 
-def _local_path(trajectory: ArrayLike, origin: Float64) -> Float64:
-    """Positions of a trajectory relative to the cloud's origin."""
+def _checked(trajectory: ArrayLike) -> Float64:
+    """Return the poses of a trajectory, (V, 4, 4)."""
     given = np.asarray(trajectory)
     poses = checked_poses(given, len(given) if given.ndim else 0, "trajectory")
     if not len(poses):
         raise DatasetError("the trajectory has no poses")
-    return np.asarray(poses[:, :3, 3] - origin)
+    return poses
 
 
 def _from_path(
@@ -294,10 +443,16 @@ def _from_path(
 
 
 def _from_ground(
-    cloud: ThinCloud, sensor_height: float, radius: float, progress: Progress | None
+    cloud: ThinCloud, sensor_height: float, radius: float, progress: Progress | None, note: Note
 ) -> Iterator[Seen]:
     """Viewpoints on free ground, until all of it is covered."""
     ground = Ground.of(np.concatenate([tops(c, sensor_height) for c in cloud.columns()]))
+    area = sum(cells_below(column) for column in cloud.columns())
+    if (share := len(ground.places) / area) < _MIN_GROUND:
+        note(
+            f"no ground: {share:.1%} of the area is free ground, so viewpoints are guesses; with "
+            "--trajectory they are the poses that the cloud was measured from"
+        )
     uncovered = Uncovered(ground, sensor_height)
     total = uncovered.left
     while (place := uncovered.next()) is not None:
@@ -317,12 +472,3 @@ def _from_lattice(cloud: ThinCloud, sensor_height: float, radius: float) -> Iter
     for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M:
         low = np.percentile(cloud.near(xy, SPACING_M)[:, 2], _LOW_PERCENT)
         yield cloud.seen_from(np.append(xy, low + sensor_height), radius)
-
-
-def _frame(cloud: ThinCloud, poses: list[Float64], config: BuildConfig) -> dict[str, str]:
-    """What there is to say of the map's frame: whether its z axis is certainly not up."""
-    some = [poses[k] for k in geometry.spread(len(poses), _LEAN_VIEWS)]
-    eyes = [T[:3, 3] - cloud.origin for T in some]
-    scans = [cloud.near(eye, _LEAN_RADIUS_M) - eye.astype(np.float32) for eye in eyes]
-    tilt = frame_tilt(MemoryRecording(scans, np.array(some)), config.local_cloud)
-    return {"frame": tilt_text(tilt)} if tilt is not None and tilt.is_significant else {}

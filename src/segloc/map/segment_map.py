@@ -152,32 +152,48 @@ class SegmentMap:
         *,
         trajectory: ArrayLike | None = None,
         sensor_height: float | None = None,
+        check: bool = True,
         progress: Callable[[int, int], None] | None = None,
+        note: Callable[[str], None] | None = None,
     ) -> SegmentMap:
         """Build a map from one finished cloud, without scans.
 
         Parameters
         ----------
         points : (N, >=3) array of any float dtype, or iterable of such arrays
-            In the map frame [m], z up; UTM coordinates as float64.
+            In the map frame [m], z up; UTM coordinates as float64. With ``mapping.level`` in the
+            configuration the cloud is turned so that z is up; ``metadata["T_map_cloud"]`` has the
+            transform.
         config : Config, optional
             By default that of the default method.
         trajectory : (V, 4, 4) array, optional
             Poses the cloud was measured from; by default viewpoints on its free ground.
         sensor_height : float, optional
             Height of the viewpoints above the ground [m], by default 1.
+        check : bool
+            False to build the map even if unit, steps or axes of the coordinates seem wrong.
         progress : callable, optional
             Called with (ground covered, total) by viewpoints.
+        note : callable, optional
+            Called with each remark, one line: points left out, a tilted frame, missing ground.
 
         Raises
         ------
         SeglocError
-            If the cloud is invalid, or has no segments.
+            If the cloud is invalid, has no segments, is not in metres, or its z axis is not up.
         """
         from .from_cloud import build_from_cloud
 
         more = {} if sensor_height is None else {"sensor_height": sensor_height}
-        return build_from_cloud(points, config, trajectory=trajectory, progress=progress, **more)
+        return build_from_cloud(
+            points,
+            config,
+            trajectory=trajectory,
+            check=check,
+            progress=progress,
+            note=note,
+            **more,
+        )
 
     # --- contents ------------------------------------------------------------------------------
 

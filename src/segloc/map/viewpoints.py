@@ -59,6 +59,11 @@ def tops(points: Float32, sensor_height_m: float) -> Float64:
     return np.column_stack([(cells[room] + 0.5) * CELL_M, z[room]])
 
 
+def cells_below(points: Float32) -> int:
+    """Return the number of cells of the ground in which there are points (N, 3)."""
+    return len(np.unique(np.floor(points[:, :2] / CELL_M), axis=0))
+
+
 @dataclass(frozen=True)
 class Ground:
     """Cells of free ground, the roomiest first.
