@@ -149,9 +149,9 @@ add("scan", "lie.laz", laz(900_000), "promises 900000")
 add("scan", "noise.las", b"LASF" + b"\xff" * 4000, "LAS")
 add("scan", "many.pcd", pcd("WIDTH 999999999999", "POINTS 999999999999"), LIMIT)
 add("scan", "product.pcd", pcd(f"WIDTH {10**17}", f"HEIGHT {10**17}", f"POINTS {10**17}"), "POINTS")
-add("scan", "wide.pcd", pcd(f"COUNT 1 1 {10**17}"), "need")
+add("scan", "wide.pcd", pcd(f"COUNT 1 1 {10**17}"), "need|no field")
 add("scan", "fields.pcd", pcd(f"FIELDS {'a ' * 99_999}", f"SIZE {'4 ' * 99_999}",
-    f"TYPE {'F ' * 99_999}", "COUNT -"), "need")  # fmt: skip
+    f"TYPE {'F ' * 99_999}", "COUNT -"), "need|no field")  # fmt: skip
 add("scan", "packed.pcd", pcd(f"WIDTH {MAX_POINTS}", f"POINTS {MAX_POINTS}",
     encoding="binary_compressed", body=struct.pack("<II", 100, 12 * MAX_POINTS) + bytes(100)),
     "pcd: ")  # fmt: skip
@@ -435,6 +435,47 @@ def lying_mcap(path: Path) -> None:
 
 
 add("sequence", "lying.mcap.d", lying_mcap, "holds more|cannot be read")
+
+
+def other_mcap(schema: bytes, encoding: str, size: int | None = None) -> Callable[[Path], object]:
+    """Clouds of no bytes in a chunk without an index, which may lie about its size."""
+
+    def make(path: Path) -> None:
+        from samples.mcap import write_mcap
+
+        channel = ("/points", encoding, "sensor_msgs/msg/PointCloud2", schema, "ros2msg")
+        write_mcap(path, [channel], [(0, 1, b"\0\1\0\0")], profile="x" * 999, chunked=True)
+        data = bytearray(path.read_bytes())
+        place = data.rindex(b"\x08" + struct.pack("<Q", 64))
+        if size is not None:
+            struct.pack_into("<QQ", data, place + 9 + 48, size, size)
+        path.write_bytes(data)
+
+    return make
+
+
+ITSELF = b"sensor_msgs/PointCloud2 next\n"
+add("sequence", "itself.mcap", other_mcap(ITSELF, "cdr"), "no header|cut off|bag")
+add("sequence", "schema.mcap", other_mcap(b"\xff" * 9999, "cdr"), "no header|cut off|bag")
+add("sequence", "protobuf.mcap", other_mcap(b"\xff\xfe", "protobuf"), "is not read")
+add("sequence", "chunk.mcap", other_mcap(b"", "cdr", HUGE), "memory")
+
+
+def log_beside(data: bytes) -> Callable[[Path], object]:
+    """A log that a recorder left beside its database."""
+
+    def make(path: Path) -> Path:
+        bag("sqlite3", "", 1600)(path)
+        file = next(path.glob("*.db3"))
+        file.with_name(f"{file.name}-wal").write_bytes(data)
+        return file
+
+    return make
+
+
+LOG = struct.pack(">IIIIIIII", 0x377F0682, 3007000, 4096, 0, 1, 2, 3, 4)  # its head, without sums
+add("sequence", "log.d", log_beside(b"\xff" * 70_000), may_be_read=True)
+add("sequence", "log_head.d", log_beside(LOG + b"\xff" * 70_000), may_be_read=True)
 
 
 def metadata(text: bytes) -> Callable[[Path], object]:
