@@ -35,6 +35,7 @@ FOR_USERS = (
     "local_cloud.mount.rpy_deg",
     "local_cloud.mount.matrix",
     "local_cloud.mount.poses_of_base",
+    "local_cloud.body",
     "mapping.views",
     "mapping.level",
     "matching.neighbours",

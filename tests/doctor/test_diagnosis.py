@@ -8,14 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from samples.on_board import HIGH, LOW, beside, masted, with_mast
+from samples.plaza import Plaza
 from samples.real import real
 from samples.walk import Points, Poses, Walk, run, written
 from scipy.spatial.transform import Rotation
 
-from segloc import DatasetError, SegmentMap, build_map, geometry
+from segloc import Config, DatasetError, SegmentMap, build_map, geometry
 from segloc.datasets import open_sequence
 from segloc.datasets.signature import signature
-from segloc.doctor import Fault, examine, first_fault, pose_findings, scan_findings
+from segloc.doctor import (
+    Fault,
+    body_findings,
+    examine,
+    first_fault,
+    pose_findings,
+    sampled,
+    scan_findings,
+)
 from segloc.frontend.local_cloud import LocalCloudConfig
 from segloc.types import Float64, Recording, Reposed, Scan
 
@@ -361,3 +372,71 @@ def test_beams_tell_exchanged_axes_where_floor_and_walls_are_alike(fault: Fault 
     assert [each.fault for each in found if each.wrong] == ([fault] if fault else [])
     seen = signature(points)
     assert seen is not None and seen.beams == 16
+
+
+def arrays(file: Path) -> list[bytes]:
+    """What a map holds, except for its texts."""
+    site = SegmentMap.load(file)
+    held = (site.vectors, site.centroids, site.cloud, site.trajectory)
+    return [np.asarray(each).tobytes() for each in held]
+
+
+@pytest.mark.slow
+def test_the_robot_in_its_own_scans_is_named_and_its_box_drops_it_everywhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = written(tmp_path / "clean", beside)
+    seen = written(tmp_path / "seen", lambda points: with_mast(beside(points)))
+    poses, config = ["--poses", "poses.tum"], tmp_path / "robot.yaml"
+    assert run("doctor", clean, *poses) == 0
+    assert "move with the sensor" not in capsys.readouterr().out
+    assert run("doctor", seen, *poses) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"note: 3.[0-9]% of the points move with the sensor", told)
+    config.write_text(re.search(r"`(local_cloud: {body: .*})`", told)[1])
+    (low, high) = Config.load(config).local_cloud.body
+    assert np.all(np.array(low) < LOW) and np.all(np.array(high) > HIGH)
+    assert np.all(np.array(high) - low < np.array(HIGH) - LOW + 0.7)
+    assert run("doctor", seen, *poses, "--config", config) == 0
+    assert "move with the sensor" not in capsys.readouterr().out
+    maps = [tmp_path / f"{name}.segmap" for name in ("clean", "seen")]
+    assert run("map", "build", clean, *poses, "--out", maps[0]) == 0
+    assert run("map", "build", seen, *poses, "--config", config, "--out", maps[1]) == 0
+    assert arrays(maps[0]) == arrays(maps[1])
+    answers = []
+    for folder, site in zip((clean, seen), maps, strict=True):
+        out = tmp_path / f"found_{folder.name}"  # queries drop what the map dropped
+        assert run("localize", folder, "--map", site, "--select", "3:5", "--out", out) == 0
+        answers.append((out / "poses.tum").read_text())
+    assert answers[0] == answers[1] != ""
+
+
+def test_what_stands_beside_a_robot_at_rest_is_not_the_robot(plaza: Plaza) -> None:
+    T = geometry.yaw_transform(0.2, (3.0, -2.0, 1.8))
+    still = [masted(plaza.scan(T, seed=k)) for k in range(8)]
+    assert body_findings(still, LocalCloudConfig()) == []
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "inside"),
+    [
+        ("vlp16", (-1.5, 0.0, -0.2)),  # the roof rack of a car
+        ("hdl32e", (0.8, -1.2, -0.8)),  # a corner of the roof
+        ("vlp16_corridor/scans", (-0.8, 0.0, 0.0)),  # somebody walks behind the robot
+        ("robosense_e1r_indoor/scans", None),
+        ("mid360_lab/0618/scans", None),
+        ("utd_grand_loop/scans", None),
+        ("kitti00/scans", None),  # less than 0.1 %
+    ],
+)
+def test_vehicles_in_real_scans_are_named_and_nothing_else(
+    folder: str, inside: tuple[float, float, float] | None
+) -> None:
+    found = body_findings(sampled(open_sequence(real(*folder.split("/"))), 20), LocalCloudConfig())
+    assert len(found) == (inside is not None)
+    if inside is not None:
+        box = np.array(yaml.safe_load(found[0].remedy.split("`")[1])["local_cloud"]["body"])
+        assert np.all((box[0] < inside) & (inside < box[1]))
+        assert np.all(box[1] - box[0] < 1.7)

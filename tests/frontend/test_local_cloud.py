@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from samples.lattice import gathered
+from samples.on_board import BODY, beside, masted, with_mast
 
 from segloc import ConfigError, InvalidScan, LocalCloud, RollingCloud, Scan, geometry
 from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig
@@ -250,3 +251,59 @@ def test_points_near_the_sensor_in_the_local_frame(count: int) -> None:
     expected = [cropped(s.points, T_local_odom @ s.T_odom_sensor, 20.0) for s in scans]
     assert np.array_equal(cloud.points, np.concatenate(expected))
     assert cloud.points.dtype == np.float32
+
+
+def far_scan(T: Pose, seed: int) -> Scan:
+    """A scan without points near the sensor."""
+    scan = scan_at(T, seed)
+    return Scan(beside(scan.points), stamp=scan.stamp, T_odom_sensor=T)
+
+
+def test_points_on_the_robot_are_in_no_cloud() -> None:
+    config = CONFIG.model_copy(update={"body": BODY})
+    clean = [far_scan(T, k) for k, T in enumerate(path(6))]
+    seen = [masted(scan, k) for k, scan in enumerate(clean)]
+    before = [scan.points.copy() for scan in seen]
+    for scans, others in ((seen[-1], clean[-1]), (seen, clean)):
+        assert_same(Accumulator(config).gather(scans), Accumulator(CONFIG).gather(others))
+    alone = Scan(seen[0].points), Scan(clean[0].points)
+    assert_same(Accumulator(config).gather(alone[0]), Accumulator(CONFIG).gather(alone[1]))
+    rolling, expected = RollingCloud(config), RollingCloud(CONFIG)
+    for scan, other in zip(seen, clean, strict=True):
+        rolling.add(scan)
+        expected.add(other)
+        assert_same(rolling.cloud(), expected.cloud())
+    assert_same(
+        RecordedWindows(seen.__getitem__, config, 0.2, 10.0).cloud(range(1, 5), 3),
+        RecordedWindows(clean.__getitem__, CONFIG, 0.2, 10.0).cloud(range(1, 5), 3),
+    )
+    assert all(map(np.array_equal, before, (scan.points for scan in seen)))
+
+
+def test_times_stay_with_the_points_beside_the_robot() -> None:
+    clean = far_scan(np.eye(4), 0).points
+    points = np.concatenate([[[np.nan] * 3], with_mast(clean)])
+    scan = Scan(points, times=np.arange(len(points)) * 1e-5)
+    rest = LocalCloudConfig(body=BODY).without_body(scan)
+    assert np.array_equal(rest.points, clean)
+    assert rest.times is not None and rest.kept is not None
+    assert np.array_equal(rest.times, np.arange(1, 1 + len(clean)) * 1e-5)
+    assert np.array_equal(points[rest.kept], clean)
+    everything = LocalCloudConfig(body=((-99.0,) * 3, (99.0,) * 3))
+    assert len(Accumulator(everything).gather(scan).points) == 0
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ([[0.5, -1, -1], [-0.5, 1, 1]], "each minimum below its maximum"),
+        ([[-1, -1, 0], [1, 1, 0]], "each minimum below its maximum"),
+        ([[-1200, -500, -300], [200, 500, 300]], "body"),  # millimetres
+        ([[float("nan"), 0, 0], [1, 1, 1]], "body"),
+        ([[-1, -1], [1, 1]], "body"),
+        ([-1, -1, -1, 1, 1, 1], "body"),
+    ],
+)
+def test_boxes_of_no_robot_are_refused(body: object, expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        LocalCloudConfig.model_validate({"body": body})

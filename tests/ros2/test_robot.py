@@ -8,13 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples.on_board import BODY, beside, with_mast
 from samples.plaza import Plaza
 from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
 from samples.streams import walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, diagnose
 from segloc_ros.core.frames import Transform
-from segloc_ros.core.replies import CandidatesReply, InitialPose, MapToOdom, MatchesReply, PoseReply
+from segloc_ros.core.replies import (
+    CandidatesReply,
+    InitialPose,
+    MapToOdom,
+    MatchesReply,
+    OdometryReply,
+    PoseReply,
+)
 
 from segloc import ConfigError, Localizer, Prior, geometry
 from segloc.frontend.mounting import rotation
@@ -517,3 +525,23 @@ def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Pla
         truth = T_map_lidar @ lidar_base
         assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
         assert diagnose(listener.robot).message == "localized"
+
+
+def test_points_on_the_robot_are_dropped_by_the_box_of_the_map(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    local_cloud = localizer.config.local_cloud.model_copy(update={"body": BODY})
+    config = localizer.config.model_copy(update={"local_cloud": local_cloud})
+    masking = Localizer(localizer.prior_map, config)
+    poses = []
+    for used, change in ((localizer, beside), (masking, lambda points: with_mast(beside(points)))):
+        listener = Listener.of(used, odometry="kiss-icp")
+        on_tf_static(listener.robot)
+        for events, _ in walked(plaza, 5, step=0.5, every_s=0.1):
+            for event in events:
+                if event.scan is not None:
+                    listener.cloud(event.stamp, change(event.scan.points))
+        odometry, found = listener.of_kind(OdometryReply), listener.of_kind(PoseReply)
+        poses.append([T.tobytes() for T in (each.T_map_base for each in found)])
+        assert len(odometry) == 5 and poses[-1]
+    assert poses[0] == poses[1]

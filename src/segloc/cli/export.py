@@ -58,6 +58,12 @@ def export(
         str,
         typer.Option(metavar="LOW,HIGH", help="Heights of obstacles above ground [m], for nav2."),
     ] = "0.4,1.8",
+    robot_width: Annotated[
+        float,
+        typer.Option(
+            metavar="METRES", help="Width of the robot: nav2 is free where it drove; 0: as seen."
+        ),
+    ] = 0.6,
     epsg: EpsgOfLines = None,
     at: OriginOfLines = None,
 ) -> None:
@@ -73,7 +79,7 @@ def export(
     from ..export.nav2 import GridOptions
     from ..export.tracks import Place
 
-    grid = GridOptions(resolution, *_slice(heights))
+    grid = GridOptions(resolution, *_slice(heights), robot_width)
     place = None if at is None else Place.parse(at)
     with busy("Writing"):
         notes = list(written(source, to, out, Options(tile, epsg, place, grid)))

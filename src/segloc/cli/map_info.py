@@ -48,6 +48,7 @@ def save_and_show(prior_map: SegmentMap, out: Path, where: Georeference | None) 
 def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of a map's contents."""
     from ..map.georeference import Georeference
+    from ..map.segment_map import CLOUD, SOURCE
 
     facts = prior_map.info()
     sessions = counted(facts["sessions"], "sessions")
@@ -60,7 +61,7 @@ def show(prior_map: SegmentMap, title: str) -> None:
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),
     ]
-    if "cloud" in prior_map.metadata.get("source", ""):
+    if CLOUD in prior_map.metadata.get(SOURCE, ""):
         spacing = prior_map.metadata.get("cloud_spacing_m", "unknown")
         rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
     if frame := prior_map.metadata.get("frame"):

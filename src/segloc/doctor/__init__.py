@@ -1,5 +1,6 @@
 """Diagnose recordings: measure their faults and name the remedies."""
 
+from .body_in_view import body_findings as body_findings
 from .finding import Fault as Fault
 from .finding import Finding as Finding
 from .pose_faults import pose_findings as pose_findings
@@ -8,4 +9,5 @@ from .recording import examine as examine
 from .recording import first_fault as first_fault
 from .recording import hint as hint
 from .recording import require_mappable as require_mappable
+from .recording import sampled as sampled
 from .scan_faults import scan_findings as scan_findings

@@ -22,6 +22,7 @@ class Fault(str, Enum):
     TILT = "tilt"
     FEW_BEAMS = "few beams"
     ONLY_GROUND = "only ground"
+    BODY_IN_VIEW = "body in view"
     NO_POSES = "no poses"
     POSES_TILTED = "poses tilted"
     POSES_INVERSE = "poses inverse"

@@ -20,6 +20,7 @@ from ..localization import Localization
 from ..map.segment_map import SegmentMap
 from ..system.text import counted
 from ..types import Recording, Scan, Scanned, as_recording
+from .body_in_view import body_findings
 from .finding import Fault, Finding
 from .pose_faults import pose_findings
 from .scan_faults import scan_findings
@@ -130,7 +131,8 @@ def examine(
     config = config or LocalCloudConfig()
     facts = inspect(recording, sample)
     posed = recording.poses is not None
-    seen = scan_findings(sampled(recording, sample), config, posed=posed)
+    scans = sampled(recording, sample)
+    seen = scan_findings(scans, config, posed=posed)
     misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
     # Beams cannot be examined in a wrong frame.
     lines = facts.problems if misframed else (*facts.problems, *facts.sensor_changes)
@@ -141,6 +143,7 @@ def examine(
         found.append(_NO_POSES)
     text = "not known"
     if not misframed:
+        found += body_findings(scans, config)
         text, tilts = _attitude_of(recording, config, sample)
         # Report only the first fault: poses match no scans of a sensor on its side, and misread
         # poses also look tilted.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .. import _native, geometry
 from ..errors import InvalidScan
@@ -18,6 +19,8 @@ from .mounting import MountConfig
 from .reach import reach_fault
 
 _Z = np.array([0.0, 0.0, 1.0])
+_Metres = Annotated[float, Field(ge=-100, le=100)]
+Corner = tuple[_Metres, _Metres, _Metres]
 
 
 class LocalCloudConfig(Section):
@@ -32,6 +35,38 @@ class LocalCloudConfig(Section):
     )
     attitude: AttitudeConfig = AttitudeConfig()
     mount: MountConfig = MountConfig()
+    body: tuple[Corner, Corner] | None = Field(
+        None,
+        description="box around the robot in the sensor's frame, whose points are dropped: "
+        "[[x_min, y_min, z_min], [x_max, y_max, z_max]], metres",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> LocalCloudConfig:
+        if self.body is not None and not all(a < b for a, b in zip(*self.body, strict=True)):
+            raise ValueError(
+                "body must be [[x_min, y_min, z_min], [x_max, y_max, z_max]] with each minimum "
+                f"below its maximum, not {[list(corner) for corner in self.body]}"
+            )
+        return self
+
+    def without_body(self, scan: Scan) -> Scan:
+        """Return a scan without the points on the robot itself; the scan if it has none."""
+        if self.body is None:
+            return scan
+        low, high = np.array(self.body, dtype=np.float32)
+        outside = ((scan.points < low) | (scan.points > high)).any(axis=1)
+        if outside.all():
+            return scan
+        rest = copy.copy(scan)
+        rest.points = scan.points[outside]
+        rest.times = None if scan.times is None else scan.times[outside]
+        if scan.kept is None:
+            rest.kept = outside
+        else:
+            rest.kept = scan.kept.copy()
+            rest.kept[scan.kept] = outside
+        return rest
 
 
 def window(
@@ -98,7 +133,7 @@ class Accumulator:
         InvalidScan
             If there is no scan, one of several has no pose, or the type is wrong.
         """
-        scans = listed(scans)
+        scans = [self.config.without_body(scan) for scan in listed(scans)]
         anchor = scans[reference]
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)

@@ -251,6 +251,7 @@ class ScanWindow:
         InvalidScan
             If its pose is too far from the others, or from the origin, for the lattice.
         """
+        scan = self.config.without_body(scan)
         try:
             self._voxels.push(scan.points, T_odom_sensor)
         except ValueError as error:

@@ -74,7 +74,7 @@ def frame_tilt(
     if poses is None or not len(poses):
         return None
     accumulator, estimator = Accumulator(config), AttitudeEstimator(config.attitude)
-    read = lru_cache(_SCANS_IN_MEMORY)(recording.scan)
+    read = lru_cache(_SCANS_IN_MEMORY)(lambda i: config.without_body(recording.scan(i)))
     normals, ups = [], []
     for position in _positions(poses):
         scans = window(poses, position, _VIEW_M, centred=True, max_gap_m=config.max_gap_m)

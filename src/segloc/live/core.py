@@ -139,7 +139,8 @@ class LiveCore:
         keeper: PoseKeeper | None = None,
     ) -> None:
         self.config = config or LiveConfig()
-        mount = localizer.config.local_cloud.mount.T_base_sensor
+        self._local_cloud = localizer.config.local_cloud
+        mount = self._local_cloud.mount.T_base_sensor
         given = np.eye(4) if mount is None else mount
         self.T_base_sensor = checked_pose(
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
@@ -150,8 +151,7 @@ class LiveCore:
             keeper.use(localizer.prior_map)
         self._lidar_odometry: LidarOdometry | None = None
         if lidar_odometry:
-            attitude = localizer.config.local_cloud.attitude
-            self._lidar_odometry = LidarOdometry(self.T_base_sensor, attitude)
+            self._lidar_odometry = LidarOdometry(self.T_base_sensor, self._local_cloud.attitude)
         self.scans = self.dropped = self.refused = self.jumps = 0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
@@ -212,6 +212,7 @@ class LiveCore:
             If there is no stamp.
         """
         time = known_stamp(scan.stamp if stamp is None else stamp)
+        scan = self._local_cloud.without_body(scan)  # before motion smears it
         if time <= self._newest:
             if self._newest - time <= self.config.clock_jump_s:
                 self.dropped += 1

@@ -77,7 +77,10 @@ class BuildConfig(Section):
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML, including defaults."""
-        text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        values = self.model_dump(mode="json")
+        if self.local_cloud.body is None:
+            del values["local_cloud"]["body"]  # version 0.3.0 takes no configuration with it
+        text: str = yaml.safe_dump(values, sort_keys=False)
         return text
 
 

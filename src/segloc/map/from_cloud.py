@@ -33,7 +33,7 @@ from .cloud_frame import (
 )
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
+from .segment_map import CLOUD, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
 from .viewpoints import (
     AROUND_M,
     SPACING_M,
@@ -49,8 +49,8 @@ from .voxel_cloud import thin
 
 SENSOR_HEIGHT_M = 1.0
 """Default height of the viewpoints over the ground [m]."""
-SOURCE, SPACING = "source", "cloud_spacing_m"
-"""Keys of the metadata of a map: what it was made from, and how far apart the points were [m]."""
+SPACING = "cloud_spacing_m"
+"""Key of the metadata: how far apart the points of the cloud were [m]."""
 
 VOXEL_M, OCCLUDER_M = 0.1, 0.3
 """Voxels that the cloud is thinned to, and those of the surfaces that hide others [m]."""
@@ -417,7 +417,7 @@ class _Builder:
             built.add_cloud(surface + cloud.origin)
         built.add_trajectory(trajectory)
         used = config.model_copy(update={"threads": 0})
-        built.metadata |= {SOURCE: "cloud", SPACING: f"{cloud.spacing():.2f}"}
+        built.metadata |= {SOURCE: CLOUD, SPACING: f"{cloud.spacing():.2f}"}
         built.metadata |= {"config": used.to_yaml(), **self._frame}
         return compacted(built, config.mapping.compact)
 

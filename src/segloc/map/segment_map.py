@@ -41,6 +41,8 @@ SEGMENT_DTYPES: dict[str, Any] = {
 VIEWPOINTS, LATTICE = "viewpoints", "lattice"
 """Key of the metadata, and its value where the trajectory holds viewpoints about which no free
 space is known."""
+SOURCE, CLOUD = "source", "cloud"
+"""Key of the metadata, and its value for maps of one finished cloud."""
 _USED_BY_QUERIES = ("centroids", "quality")
 """Columns that are kept unpacked."""
 
@@ -283,6 +285,18 @@ class SegmentMap:
         lattice = LATTICE in self.metadata.get(VIEWPOINTS, "")
         positions: Float64 = self.trajectory[: 0 if lattice else None, :3, 3]
         return positions
+
+    @property
+    def is_driven(self) -> NDArray[np.bool_]:
+        """Mask of the poses of the trajectory that a sensor had, (V,).
+
+        Viewpoints chosen in a finished cloud are none; their rotation is the identity.
+        """
+        rotations = self.trajectory[:, :3, :3]
+        if CLOUD not in self.metadata.get(SOURCE, ""):
+            return np.ones(len(rotations), dtype=bool)
+        turned: NDArray[np.bool_] = (rotations != np.eye(3)).any(axis=(1, 2))
+        return turned
 
     @property
     def memory_bytes(self) -> int:

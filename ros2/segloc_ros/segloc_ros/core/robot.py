@@ -446,8 +446,10 @@ class Robot:
         odometry = self._lidar_odometry
         if odometry is None or not same(odometry.T_base_sensor, given.T_base_sensor):
             odometry = self._lidar_odometry = LidarOdometry(given.T_base_sensor)
-        lost, replies = odometry.losses, list[Reply]()
-        for time_s, T in odometry.add(given.scan, given.stamp):
+        lost, replies, scan = odometry.losses, list[Reply](), given.scan
+        if self._localizer is not None:
+            scan = self._localizer.config.local_cloud.without_body(scan)
+        for time_s, T in odometry.add(scan, given.stamp):
             before = self._odometry[-1] if self._odometry else None
             if before is not None and time_s <= before[0]:
                 continue
