@@ -33,6 +33,8 @@ def test_what_must_not_happen_is_flagged(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="times processes as Linux lists them")
 def test_output_without_commands_has_a_case_per_line(tmp_path: Path) -> None:
-    (tmp_path / "run.sh").write_text("echo 'generator TRACEBACK TypeError'; echo '(N, 2) found'")
+    (tmp_path / "run.sh").write_text(
+        "echo 'bytes   TRACEBACK TypeError'; echo '(N, 2)  found'; exit 3"
+    )
     first, second, end = run_case(tmp_path, tmp_path, tmp_path)
-    assert (first.flags(), second.flags(), end.statuses) == (["traceback"], ["silent"], [0])
+    assert (first.flags(), second.flags(), end.statuses) == (["traceback"], ["silent"], [3])

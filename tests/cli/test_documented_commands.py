@@ -23,19 +23,19 @@ from samples.source import PROJECT
 from segloc.cli import app
 from segloc.errors import MissingDependency
 
-BY_EXPERIMENTS = {"bench", "evaluate", "simulate", "train"}
-"""Verbs that segloc-lab adds, or adds to: unknown parts are its where it is missing."""
+BY_OTHERS = {"bench": {"bench", "evaluate", "simulate", "train"}, "stems": {"stems"}}
+"""Verbs that segloc-lab and a plug-in add, or add to, by one that is there if they are."""
 
-LAB = sorted((PROJECT / "lab").rglob("*.md"))
-PAGES = [*documents(), PROJECT / "CONTRIBUTING.md", PROJECT / "SECURITY.md", *LAB]
-PROGRAM = [*(PROJECT / "src").rglob("*.py"), *(PROJECT / "ros2").rglob("*.py")]
+BESIDE = [page for name in ("lab", "plugins") for page in sorted((PROJECT / name).rglob("*.md"))]
+PAGES = [*documents(), PROJECT / "CONTRIBUTING.md", PROJECT / "SECURITY.md", *BESIDE]
+PROGRAM = [path for name in ("src", "ros2", "plugins") for path in (PROJECT / name).rglob("*.py")]
 SOURCES = sorted([*PROGRAM, *(PROJECT / "lab" / "src").rglob("*.py")])
 
 _FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(r"`segloc ([^`]+)`")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
-_OTHER_PROGRAM = re.compile(r"`python[^`]*`")
-_MAKE = re.compile(r"(?:^ *|`)make ([a-z][^`#\n]*)", re.MULTILINE)
+_OTHER_PROGRAM = re.compile(r"`(?:python|ros2)[^`]*`")
+_MAKE = re.compile(r"(?:^ {4}|`)make ([a-z][^`#\n]*)", re.MULTILINE)
 _PIP = re.compile(r"pip install ([^`#\n]*)")
 _PIP_TARGET = re.compile(r"([^\[]+)(?:\[([^]]*)\])?")
 _EXTRAS = re.compile(r"\bextras? (`[\w-]+`(?:(?:, | and )`[\w-]+`)*)")
@@ -171,11 +171,12 @@ def target_faults(arguments: str) -> Iterator[str]:
 def wrong_commands(found: Iterator[Command]) -> list[str]:
     """The faults of commands, with their places."""
     root: Any = typer.main.get_command(app)
-    complete = "bench" in root.commands
+    missing = [verbs for one, verbs in BY_OTHERS.items() if one not in root.commands]
+    unknown = set().union(*missing)
     return [
         f"{command.place}: segloc {' '.join(command.words)}: {fault}"
         for command in found
-        if complete or command.words[0] not in BY_EXPERIMENTS
+        if command.words[0] not in unknown
         for fault in faults(root, list(command.words), command.whole)
     ]
 
