@@ -201,6 +201,9 @@ def tum(*xs: float, count: int = 0) -> bytes:
     return "\n".join(rows).encode()
 
 
+add("trajectory", "huge.g2o", b"VERTEX_SE3:QUAT 0 1e300 0 0 0 0 0 1\n", "beyond")
+add("trajectory", "lie.pcd", pcd(f"POINTS {HUGE}", f"WIDTH {HUGE}"), "WIDTH|POINTS|SEGLOC")
+add("trajectory", "lie.npy", npy(f"({HUGE}, 4, 4)"), "need")
 add("trajectory", "far.tum", tum(0, 1, 1e12), "line 3: a position beyond 1e.08 m")
 add("trajectory", "infinite.tum", tum(0, float("inf")), "line 2")
 add("trajectory", "jump.tum", tum(0, 1, 450_000.0, 450_001.0), "line 3: a position more than")
