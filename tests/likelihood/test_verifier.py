@@ -14,12 +14,13 @@ from scipy.spatial import cKDTree
 from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
 from segloc.likelihood import VerificationConfig
+from segloc.likelihood.observation import Observation, QueryCloud
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.proposals.matching import MatchingConfig
 from segloc.proposals.occupancy import OccupancyConfig
-from segloc.types import Float32, Float64, Int64, Pose
+from segloc.types import Candidate, Float32, Float64, Int64, Pose
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -178,3 +179,34 @@ def test_more_neighbours_are_tried_where_too_few_segments_agree(plaza: Plaza) ->
     assert not lost.localized and lost.confidence < 0.5
     assert found.localized
     assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]
+
+
+def test_fits_that_converge_to_one_pose_are_one_place(
+    plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = Config.preset("geo")
+    localizer = Localizer(build_map(PlazaSequence(plaza, steps=6), config), config)
+    truth = geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7))
+    query = localizer.describe(plaza.scan(truth))
+    T_map_local = truth @ geometry.inverse(query.cloud.T_local_sensor)
+    starts = []
+    for side in (-1.0, 1.0):
+        start = T_map_local.copy()
+        start[:2, 3] += side * 1.2, side * 1.2
+        starts.append(Candidate(start, 0))
+    likelihood = localizer.likelihood
+    assert likelihood.separation.apart(*(start.T_map_local for start in starts))
+    cloud = likelihood.cloud
+
+    def unaligned(T: Pose, query: QueryCloud, *_: object, **__: object) -> Observation:
+        return cloud._observed(cloud._relative(T), None, query)
+
+    monkeypatch.setattr(cloud, "refined", unaligned)  # only the last alignment brings them together
+    scorer = likelihood.scorer(likelihood.query(query.scene))
+    posterior = scorer.fit(starts, lambda T: 0, thorough=True)
+    near = [
+        place
+        for place in posterior.places
+        if np.linalg.norm(place.T_map_local[:2, 3] - T_map_local[:2, 3]) < 1.0
+    ]
+    assert len(near) == 1

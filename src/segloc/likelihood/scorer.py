@@ -172,8 +172,9 @@ class Scorer:
                 self._take(self._measure(T, inliers))
         while (fit_left := self._undecided(thorough)) is not None:
             finished = self._map.finished(fit_left, self._query)
-            self.fits[self.fits.index(fit_left)] = finished
             self._finished.append(finished)
+            self.fits.remove(fit_left)
+            self._take(finished)  # two that converge to one pose are one place
             if thorough or not self._is_believed_anyway(finished):
                 finished.intruding  # noqa: B018  (measured on first use)
         return self.posterior()
