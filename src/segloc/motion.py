@@ -153,7 +153,8 @@ def at_stamp(scan: Scan, motion: Motion | None, stamp: float | None) -> Scan:
         return scan
     still = deskew(scan, motion, stamp)
     still.times = None  # all points have the same time now
-    still.dropped, still.missing_returns = scan.dropped, scan.missing_returns
+    still.dropped, still.blank = scan.dropped, scan.blank
+    still.missing_returns = scan.missing_returns
     return still
 
 

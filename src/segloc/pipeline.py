@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import geometry
+from .frontend.surfaces import AGAINST_GRAVITY, GRAVITY_REMEDY, is_upside_down
 from .likelihood import Observation, Posterior
 from .localization import Localization, Localized, NotLocalized, Place, Reason
 from .map.segment_map import SegmentMap
@@ -184,6 +185,13 @@ def _fault(search: Search, cloud: LocalCloud, reason: Reason, radius_m: float) -
     return ""
 
 
+def _is_inverted(cloud: LocalCloud) -> bool:
+    """Return whether the given vertical turns a scan over, and its ground contradicts that."""
+    if cloud.num_scans > 1 or cloud.T_local_sensor[2, 2] > 0:
+        return False
+    return is_upside_down((cloud.points - cloud.T_local_sensor[:3, 3]).astype(np.float32))
+
+
 def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
     """Explain how far a prior lies outside of the map; "" if it is inside."""
     if len(near.rows(prior_map.centroids, reach_m)):
@@ -219,6 +227,9 @@ def _why_anywhere(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) 
     ):
         if counts[what] == 0:
             return {"reason": reason, "message": reason.value}
+    if _is_inverted(cloud):
+        message = f"{Reason.UNKNOWN_ATTITUDE} ({AGAINST_GRAVITY}: {GRAVITY_REMEDY})"
+        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": message}
     if search.reason is not Reason.AMBIGUOUS and cloud.attitude == "assumed":
         return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
     return {"reason": search.reason, "message": search.message}

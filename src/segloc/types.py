@@ -50,6 +50,8 @@ class Scan:
         Usable points. The others are dropped with their times.
     dropped : int
         Number of points with a coordinate that is NaN, infinite, or beyond ``MAX_METRES``.
+    blank : int
+        Number of those that are NaN, as organised clouds write missing returns.
     missing_returns : int
         Number of points of firings without a return: many at one position, or many at one range.
     kept : (N,) bool or None
@@ -64,6 +66,7 @@ class Scan:
     __slots__ = (
         "T_base_sensor",
         "T_odom_sensor",
+        "blank",
         "dropped",
         "gravity",
         "gravity_error_deg",
@@ -87,7 +90,7 @@ class Scan:
     ) -> None:
         xyz = checks.checked_points(points)
         stamps = checks.checked_times(times, len(xyz))
-        self.kept, self.dropped, self.missing_returns = measured_points(xyz)
+        self.kept, self.dropped, self.blank, self.missing_returns = measured_points(xyz)
         if self.kept is not None:
             xyz = xyz[self.kept]
             stamps = None if stamps is None else stamps[self.kept]

@@ -196,7 +196,7 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     files = sorted((path / "velodyne").iterdir())
     files[0].write_bytes(files[0].read_bytes()[:-5])
     scattered = drive.seen(7)
-    scattered[:100] = np.nan
+    scattered[:100] = np.inf
     rows = np.column_stack([scattered, np.ones(len(scattered))]).astype("<f4")
     files[7].write_bytes(rows.tobytes())
     files[9].write_bytes(rows[200:230].tobytes())
@@ -215,7 +215,7 @@ def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
     text = "\n".join(found.problems)
     for problem in (
         "000000.bin: cut off: 4795 bytes",
-        "000007.bin: 100 of 300 points are not finite",
+        "000007.bin: 100 of 300 points are infinite",
         "000009.bin: 30 points, the median is 300",
         "stamps do not rise after scan 40",
         "1 gaps in time, the longest 3.10 s after scan 19",

@@ -14,6 +14,7 @@ from .console import busy
 if TYPE_CHECKING:
     from ..frontend.local_cloud import LocalCloudConfig
     from ..inspect import Trace
+    from ..map.segment_map import SegmentMap
     from ..types import Recording
 
 
@@ -62,7 +63,9 @@ def explain(
     with busy("Localizing"):
         ((cloud, _),) = query_clouds(recording, np.array([position]), localizer.config)
         found = trace(localizer, cloud, name)
-        findings = _findings(recording, position, local)
+        findings = _findings(
+            recording, position, local, None if found.result.localized else localizer.prior_map
+        )
     _show(found, findings)
     if html is not None:
         from ..inspect.page import page
@@ -83,11 +86,20 @@ def _position(recording: Recording, number: int | None) -> int:
     return found[0]
 
 
-def _findings(recording: Recording, position: int, config: LocalCloudConfig) -> list[str]:
-    """Return the findings of `segloc doctor` on that scan."""
-    from ..doctor import scan_findings
+def _findings(
+    recording: Recording,
+    position: int,
+    config: LocalCloudConfig,
+    prior_map: SegmentMap | None,
+) -> list[str]:
+    """Return the findings of `segloc doctor` on that scan; in a map if it is not localized."""
+    from ..doctor import map_finding, scan_findings
 
-    found = scan_findings([recording.scan(position)], config, posed=recording.poses is not None)
+    scan = recording.scan(position)
+    found = scan_findings([scan], config, posed=recording.poses is not None)
+    if prior_map is not None and not any(finding.wrong for finding in found):
+        in_map = map_finding([scan], prior_map, config)
+        found = [*([in_map] if in_map else []), *found]
     return [f"{'problem' if finding.wrong else 'note'}: {finding}" for finding in found]
 
 

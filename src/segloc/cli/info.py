@@ -50,7 +50,8 @@ def show(recording: RecordedSequence, examination: Examination) -> None:
         ("path", number(found.length_m, "m", 1)),
         ("roll and pitch", examination.attitude),
         ("points per scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
-        (f"points {UNUSABLE}", f"{100 * found.dropped:.2f} %"),
+        (f"points {UNUSABLE}", f"{100 * found.unusable:.2f} %"),
+        ("points that are NaN", f"{100 * found.blank:.2f} %"),
         ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
         ("problems", str(wrong) if wrong else "none found"),
     ]

@@ -16,9 +16,10 @@ from .recorded import RecordedSequence
 from .signature import Signature, signature
 from .tracks import LONGEST_GAP_S
 
-UNUSABLE = f"not finite or beyond {MAX_METRES:.0e} m"
+UNUSABLE = f"infinite or beyond {MAX_METRES:.0e} m"
 _MAX_SPEED_M_S = 60.0
 _SIZE_RATIO = 3.0  # scans larger or smaller than the median by this are reported
+_USUAL_SPREADS = 7.5  # and by this many median deviations of the logarithm
 _MAX_DROPPED = 0.05  # share of unusable points above which a scan is reported
 _MIN_POINTS = 1000  # needed to recognise a sensor
 _MAX_CHANGES = 3  # sensor changes listed
@@ -32,7 +33,8 @@ class Inspection:
     sensor: str  # guessed from the points: "16 beams, -15.0 to 15.0 deg", ...
     sampled: int  # number of scans read
     points: int  # median per scan
-    dropped: float  # share of points not finite or beyond ``MAX_METRES``, in [0, 1]
+    unusable: float  # share of points infinite or beyond ``MAX_METRES``, in [0, 1]
+    blank: float  # share of points that are NaN: missing returns of organised clouds, in [0, 1]
     missing_returns: float  # share of points that stand for firings without a return, in [0, 1]
     rate_hz: float | None  # median; None without stamps
     duration_s: float | None
@@ -58,16 +60,18 @@ def inspect(recording: RecordedSequence, sample: int = 20) -> Inspection:
     problems += _scan_problems(recording, scans)
     problems += _time_problems(recording) + _pose_problems(recording)
     sizes = [len(scan) for _, scan in scans]
-    dropped = sum(scan.dropped for _, scan in scans)
+    blank = sum(scan.blank for _, scan in scans)
+    unusable = sum(_unusable(scan) for _, scan in scans)
     missing = sum(scan.missing_returns for _, scan in scans)
-    given = max(1, sum(sizes) + dropped + missing)
+    given = max(1, sum(sizes) + blank + unusable + missing)
     stamps, poses, track = recording.stamps, recording.poses, recording.track
     steps = np.diff(stamps) if stamps is not None else np.empty(0)
     return Inspection(
         sensor=_sensor(scans),
         sampled=len(scans),
         points=int(np.median(sizes)) if sizes else 0,
-        dropped=dropped / given,
+        unusable=unusable / given,
+        blank=blank / given,
         missing_returns=missing / given,
         rate_hz=float(1 / np.median(steps)) if len(steps) else None,
         duration_s=float(stamps[-1] - stamps[0]) if stamps is not None and len(stamps) else None,
@@ -81,19 +85,27 @@ def inspect(recording: RecordedSequence, sample: int = 20) -> Inspection:
 
 def _scan_problems(recording: RecordedSequence, scans: list[tuple[int, Scan]]) -> list[str]:
     problems = []
-    median = float(np.median([len(scan) for _, scan in scans])) if scans else 0.0
     if scans and not any(len(scan) for _, scan in scans):
         return [f"no points in any of the {len(scans)} scans read"]
+    median, ratio = _usual_size(scans)
     for i, scan in scans:
         where = recording.where(i)
         if _broken(scan):
             whole = len(scan) + scan.dropped
-            problems.append(f"{where}: {scan.dropped} of {whole} points are {UNUSABLE}")
-        elif not median / _SIZE_RATIO <= len(scan) <= median * _SIZE_RATIO:
+            problems.append(f"{where}: {_unusable(scan)} of {whole} points are {UNUSABLE}")
+        elif not median / ratio <= len(scan) <= median * ratio:
             problems.append(f"{where}: {len(scan)} points, the median is {median:.0f}")
         if scan.times is not None and len(scan) and not times_fit(scan):
             problems.append(f"{where}: times are not seconds after the stamp: not de-skewed")
     return problems
+
+
+def _usual_size(scans: list[tuple[int, Scan]]) -> tuple[float, float]:
+    """Return the median number of points of a scan, and by which ratio a scan may differ."""
+    sizes = np.array([len(scan) for _, scan in scans if len(scan)] or [1.0])
+    median = float(np.median(sizes))
+    spread = float(np.median(np.abs(np.log(sizes / median))))
+    return median, max(_SIZE_RATIO, float(np.exp(_USUAL_SPREADS * spread)))
 
 
 def _sensor(scans: list[tuple[int, Scan]]) -> str:
@@ -134,8 +146,13 @@ def _first_unlike(recording: RecordedSequence, old: Signature, low: int, high: i
     return high
 
 
+def _unusable(scan: Scan) -> int:
+    """Count the dropped points that no driver writes for a missing return."""
+    return scan.dropped - scan.blank
+
+
 def _broken(scan: Scan) -> bool:
-    return scan.dropped > _MAX_DROPPED * (len(scan) + scan.dropped)
+    return _unusable(scan) > _MAX_DROPPED * (len(scan) + scan.dropped)
 
 
 def _time_problems(recording: RecordedSequence) -> list[str]:

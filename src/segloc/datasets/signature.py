@@ -17,7 +17,9 @@ _SHARP, _SHARPER = 3.0, 2.0
 _MIN_POINTS = 2000  # to compare axes
 _MAX_COUNTED = 48  # beams; more are too close to be separated reliably
 _BEAM_RATIO = 1.5  # beyond it, beam counts differ
+_SHARPNESS_RATIO = 2.5  # beyond it, a pattern of beams has come or gone
 _MAX_LOW_DEG = 4.0  # between the lowest beams, which hit the ground in every scan
+_MAX_BOTTOM_DEG = 10.0  # between the lowest points of clouds without separate beams
 _STEEP_DEG = -35.0  # below any beam of a single turn; accumulated clouds reach lower
 
 
@@ -28,30 +30,39 @@ class Signature:
     beams: int  # distinct elevation angles; 1 for a sweep of one plane
     low_deg: float  # lowest elevation
     high_deg: float  # highest elevation
+    sharpness: float = 0.0  # how distinct the elevations are; about 1 without separate beams
 
     @property
     def many(self) -> bool:
-        """True if there are more beams than can be counted."""
-        return self.beams > _MAX_COUNTED
+        """True if there are more beams than can be counted, or none are separate."""
+        return self.beams > 1 and (self.beams > _MAX_COUNTED or self.sharpness < _SHARP)
 
     def is_like(self, other: Signature) -> bool:
-        """Return whether both can be of one sensor."""
+        """Return whether both can be of one sensor.
+
+        Beams are compared only where they are distinct: the peaks among the elevations of fused,
+        thinned or accumulated clouds are due to chance.
+        """
         if 1 in (self.beams, other.beams):
             return self.beams == other.beams
+        below = abs(self.low_deg - other.low_deg)
+        blurred, sharp = sorted((self.sharpness, other.sharpness))
+        if sharp < _SHARP:
+            steep = max(self.low_deg, other.low_deg) < _STEEP_DEG
+            return steep or below < _MAX_BOTTOM_DEG
+        if blurred < _SHARP:
+            return sharp < _SHARPNESS_RATIO * blurred
         fewer, more = sorted((self.beams, other.beams))
-        if self.low_deg < _STEEP_DEG and other.low_deg < _STEEP_DEG and self.many and other.many:
-            return True  # accumulated clouds reach the ground beneath, at varying angles
         same_beams = fewer > _MAX_COUNTED or more <= _BEAM_RATIO * max(fewer, 4)
-        return same_beams and abs(self.low_deg - other.low_deg) < _MAX_LOW_DEG
+        return same_beams and below < _MAX_LOW_DEG
 
     def __str__(self) -> str:
         if self.beams == 1:
             return "2D, one plane"
         span = f"{self.low_deg:.1f} to {self.high_deg:.1f} deg"
         if self.many:
-            return f"3D, 64 or more beams, {span}"
-        count = self.beams if self.beams >= 4 else "no separate"
-        return f"3D, {count} beams, {span}"
+            return f"3D, many or no separate beams, {span}"
+        return f"3D, {self.beams} beams, {span}"
 
 
 def signature(points: NDArray[np.floating]) -> Signature | None:
@@ -61,8 +72,8 @@ def signature(points: NDArray[np.floating]) -> Signature | None:
     cloud = points.astype(np.float64)
     if geometry.in_one_plane(cloud):
         return Signature(1, 0.0, 0.0)
-    count, low, high = beams(cloud)
-    return Signature(max(count, 2), low, high)
+    count, low, high, sharpness = beams(cloud)
+    return Signature(max(count, 2), low, high, sharpness)
 
 
 def is_push_broom(recording: Recording) -> bool:
@@ -88,6 +99,12 @@ def sensor_of(recording: Recording, sample: int = 5) -> str:
     if found.beams == 1:
         return PUSH_BROOM
     return "many beams" if found.many else "few beams"
+
+
+def turns_about_z(points: NDArray[np.floating]) -> bool:
+    """Return whether distinct beams turn about z."""
+    cloud = points.astype(np.float64)
+    return beam_axis(cloud) == 2 and _sharpness(_elevations(cloud)) >= _SHARP
 
 
 def beam_axis(points: NDArray[np.floating]) -> int:
@@ -121,8 +138,8 @@ def _elevations(cloud: Float64, axis: int = 2) -> Float64:
     return np.asarray(np.degrees(np.arctan2(far[:, axis], np.hypot(*across.T))))
 
 
-def beams(cloud: Float64) -> tuple[int, float, float]:
-    """Return the number of distinct elevation angles, the lowest and the highest [deg].
+def beams(cloud: Float64) -> tuple[int, float, float, float]:
+    """Return the number of elevation angles, the lowest and highest [deg], and their sharpness.
 
     Angles are about the axis of the beams.
     """
@@ -133,4 +150,4 @@ def beams(cloud: Float64) -> tuple[int, float, float]:
     level = 0.15 * np.percentile(smooth[smooth > 0], 90)
     middle = smooth[1:-1]
     peaks = (middle > smooth[:-2]) & (middle >= smooth[2:]) & (middle > level)
-    return int(peaks.sum()), float(angles.min()), float(angles.max())
+    return int(peaks.sum()), float(angles.min()), float(angles.max()), _sharpness(angles)

@@ -8,6 +8,7 @@ from .recording import Examination as Examination
 from .recording import examine as examine
 from .recording import first_fault as first_fault
 from .recording import hint as hint
+from .recording import map_finding as map_finding
 from .recording import require_mappable as require_mappable
 from .recording import sampled as sampled
 from .scan_faults import scan_findings as scan_findings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -15,19 +15,22 @@ from ..datasets.inspection import UNUSABLE, Inspection, inspect
 from ..errors import DatasetError, SeglocError
 from ..frontend.gravity import angle_deg
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
+from ..frontend.surfaces import Surfaces, ground_side, shows_ground
 from ..frontend.tilt import MIN_TILT_DEG, frame_tilt
 from ..localization import Localization
+from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
 from ..system.text import counted
-from ..types import Recording, Scan, Scanned, as_recording
+from ..types import Float32, Recording, Scan, Scanned, as_recording
 from .body_in_view import body_findings
 from .finding import Fault, Finding
 from .pose_faults import pose_findings
-from .scan_faults import scan_findings
+from .scan_faults import Z_DOWN_REMEDY, level_points, scan_findings
 
 _MOUNTED_DEG = 10.0
 """Median tilt in one direction above which the sensor is taken to be mounted so."""
 _SWAYS_DEG = 4.0
+_MIN_UPS = 3  # scans that show a mounting: one may stand on a slope
 _TILTED_DEG = 3.0
 """In maps tilted by more, levelled scans are found less often, or falsely."""
 
@@ -87,7 +90,7 @@ def _tilted(ups: np.ndarray, middle: float, most: float) -> Finding:
     what = f"scans are tilted by {middle:.1f} degrees in the median, {most:.1f} at most"
     mean = ups.mean(axis=0)
     sway = float(np.median([angle_deg(up, mean) for up in ups]))
-    if middle > _MOUNTED_DEG and sway < _SWAYS_DEG:
+    if len(ups) >= _MIN_UPS and middle > _MOUNTED_DEG and sway < _SWAYS_DEG:
         remedy = "set how the sensor is mounted, `local_cloud: {mount: {rpy_deg: ...}}`"
         return Finding(Fault.TILT, what, remedy)
     remedy = "each scan is levelled by its floors and walls; gravity or poses are more accurate"
@@ -160,8 +163,8 @@ def _left_out(facts: Inspection) -> list[Finding]:
     """Report dropped points, unless a problem of the recording counts them."""
     found = []
     counted = any(UNUSABLE in line for line in facts.problems)
-    if facts.dropped and not counted:
-        what = f"{_percent(facts.dropped)} of the points are {UNUSABLE}: they are dropped"
+    if facts.unusable and not counted:
+        what = f"{_percent(facts.unusable)} of the points are {UNUSABLE}: they are dropped"
         found.append(Finding(Fault.UNUSABLE_POINTS, what, wrong=False))
     if facts.missing_returns:
         share = _percent(facts.missing_returns)
@@ -198,14 +201,20 @@ def first_fault(
 
     Faster than :func:`examine`: uses ``sample`` scans and the poses alone.
     """
-    posed = recording.poses is not None
-    found = scan_findings(sampled(recording, sample), config, posed=posed)
+    return next(iter(_first(recording, sampled(recording, sample), config)), None)
+
+
+def _first(
+    recording: Recording, scans: Sequence[Scan], config: LocalCloudConfig | None
+) -> list[Finding]:
+    """Return the findings of some scans, or else of the poses; faults first."""
+    found = scan_findings(scans, config, posed=recording.poses is not None)
     if not any(finding.wrong for finding in found):
         found += pose_findings(recording, config)
-    return next(iter(sorted(found, key=lambda finding: not finding.wrong)), None)
+    return sorted(found, key=lambda finding: not finding.wrong)
 
 
-_MAPPABLE = (Fault.POSES_OFF, Fault.ONLY_GROUND)
+_MAPPABLE = (Fault.POSES_OFF, Fault.ONLY_GROUND, Fault.SINGLE_PLANE)
 """Faults of recordings whose maps are of some use."""
 
 
@@ -247,6 +256,10 @@ def sampled(recording: Recording, count: int) -> list[Scan]:
     return scans
 
 
+_SAMPLE = 5  # scans examined for a hint
+_VIEWS, _VIEW_M = 8, 20.0  # of a map
+_TRIALS = 3  # scans that are localized upside down
+_HALF_TURN = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MAX_LOCALIZED = 0.5  # share of localized queries above which no hint is given
 
 
@@ -276,7 +289,7 @@ def hint(
     if found > _MAX_LOCALIZED * len(results):
         return None
     failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
-    cause = known or _cause(scans, config, {} if prior_map is None else prior_map.metadata)
+    cause = known or _cause(scans, config, prior_map)
     if cause is not None:
         return f"{failed} Likely cause: {cause}"
     if found:
@@ -288,15 +301,73 @@ def hint(
 
 
 def _cause(
-    scans: Scanned, config: LocalCloudConfig | None, metadata: Mapping[str, str]
+    scans: Scanned, config: LocalCloudConfig | None, prior_map: SegmentMap | None
 ) -> str | None:
-    """Describe the first problem of the scans, or else of the map's frame."""
+    """Describe the first problem of the scans, or else of them in the map, or else a remark."""
     try:
-        finding = first_fault(as_recording(scans), config)
+        recording = as_recording(scans)
+        some = sampled(recording, _SAMPLE)
+        found = _first(recording, some, config)
     except SeglocError:
-        finding = None
-    is_level = {"T_map_odom", "T_map_cloud"} & metadata.keys()
-    frame = None if is_level else metadata.get("frame")
-    if frame and not (finding is not None and finding.wrong):
-        return f"the map's frame is {frame}. Build the map with --level"
-    return None if finding is None else str(finding)
+        return None
+    if prior_map is not None and not any(finding.wrong for finding in found):
+        metadata = prior_map.metadata
+        is_level = {"T_map_odom", "T_map_cloud"} & metadata.keys()
+        if not is_level and (frame := metadata.get("frame")):
+            return f"the map's frame is {frame}. Build the map with --level"
+        if in_map := map_finding(some, prior_map, config):
+            return str(in_map)
+    causes = (finding for finding in found if finding.fault is not Fault.NO_GROUND)
+    return next(map(str, causes), None)
+
+
+def map_finding(
+    scans: Sequence[Scan], prior_map: SegmentMap, config: LocalCloudConfig | None = None
+) -> Finding | None:
+    """Return why scans do not fit a map although neither has a fault; None if not known.
+
+    Ground is cut off in one of them, or the scans fit after half a turn about x.
+
+    Parameters
+    ----------
+    scans : list of Scan
+    prior_map : SegmentMap
+    config : LocalCloudConfig, optional
+        Mount of the sensor.
+    """
+    clouds = [level_points(scan, config or LocalCloudConfig()) for scan in scans]
+    ground, mapped = shows_ground(clouds), shows_ground(_views(prior_map))
+    if ground is False and mapped:
+        what = "no ground in the scans, but in the map"
+        return Finding(Fault.NO_GROUND, what, "keep the points of the ground")
+    if ground and mapped is False:
+        what = "no ground in the map, but in the scans"
+        return Finding(Fault.NO_GROUND, what, "build the map from clouds with their ground")
+    return _inverted(clouds, prior_map)
+
+
+def _views(prior_map: SegmentMap) -> list[Float32]:
+    """Return the map's cloud around some of its viewpoints."""
+    positions = prior_map.trajectory[:, :3, 3]
+    views = []
+    for i in geometry.spread(len(positions), _VIEWS):
+        cloud = prior_map.cloud - (positions[i] - prior_map.origin).astype(np.float32)
+        views.append(cloud[(np.abs(cloud[:, :2]) < _VIEW_M).all(axis=1)])
+    return views
+
+
+def _inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding | None:
+    """Detect scans that are localized upside down, if their own surfaces do not tell."""
+    seen = [each for points in clouds if (each := Surfaces.of(points)) is not None]
+    if not seen or ground_side(seen, sure=True) is not None:
+        return None
+    try:
+        localizer = Localizer(prior_map)
+    except SeglocError:
+        return None
+    few = clouds[:: max(1, len(clouds) // _TRIALS)][:_TRIALS]
+    found = [localizer.localize(points * _HALF_TURN).localized for points in few]
+    if sum(found) <= len(few) / 2:
+        return None
+    what = f"localized upside down: {sum(found)} of {counted(len(few), 'scans')}"
+    return Finding(Fault.Z_DOWN, f"{what}, so the z axis points down", Z_DOWN_REMEDY)

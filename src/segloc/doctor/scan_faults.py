@@ -8,45 +8,32 @@ from statistics import median
 import numpy as np
 
 from .. import geometry
-from ..datasets.signature import beam_axis, signature
+from ..datasets.signature import beam_axis, signature, turns_about_z
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
 from ..frontend.reach import BEYOND_M, is_far_blob, median_range
 from ..frontend.segmentation import Segmentation, Segmenter
-from ..frontend.surfaces import Surfaces
-from ..types import Float32, Float64, Scan
+from ..frontend.surfaces import (
+    AGAINST_GRAVITY,
+    DOWN,
+    GRAVITY_REMEDY,
+    LOW_M,
+    UP,
+    Side,
+    Surfaces,
+    ground_side,
+    is_upside_down,
+    looks_up,
+    shows_ground,
+)
+from ..types import Float32, Scan
 from .finding import Fault, Finding
 
-_ALONG = 0.94  # cosine of 20 degrees, between a normal and its axis
-_BESIDE_M = 0.3  # surfaces this close to the sensor's own height are on neither side
-
-
-def _floors(points: Float32) -> tuple[Float64, Float64] | None:
-    """Find flat surfaces in a scan (N, 3), sensor frame; None if there are too few.
-
-    Return, on the negative and the positive side across x, y and z (3, 2), the share of the flat
-    places that are there, in [0, 1], and their median distance along the axis [m], NaN without any.
-    """
-    if (found := Surfaces.of(points)) is None:
-        return None
-    places, normals = found.places, found.normals
-    shares, metres = np.zeros((3, 2)), np.full((3, 2), np.nan)
-    for axis, side in np.ndindex(3, 2):
-        off = places[:, axis] * (-1.0, 1.0)[side]
-        chosen = (np.abs(normals[:, axis]) > _ALONG) & (off > _BESIDE_M)
-        shares[axis, side] = chosen.mean()
-        metres[axis, side] = np.median(off[chosen]) if chosen.any() else np.nan
-    return shares, metres
-
-
 _MIN_POINTS = 200  # of a scan
-_MIN_FLOOR, _MAX_GROUND = 0.3, 0.3
-"""Minimum share of one floor among flat surfaces; maximum share of it at the ground's place."""
-_LOW_M = 3.5  # maximum height of vehicles and hands above ground; ceilings may be higher
 _LOWEST_M = 0.3
 _SMALL_UNITS = ((Fault.MILLIMETRES, 1000), (Fault.CENTIMETRES, 100))
 _USUAL_RANGE_MM = 2500.0
-_STEEP_DEG = 35.0
 _MOUNT = "or name the mounting: `local_cloud: {mount: {rpy_deg: "
+Z_DOWN_REMEDY = f"change the signs of y and z, {_MOUNT}[180, 0, 0]}}}}`"
 _FEW_BEAMS = 16
 _MIN_SEGMENTS, _MIN_ABOVE = 2, 0.02
 
@@ -54,7 +41,7 @@ _MIN_SEGMENTS, _MIN_ABOVE = 2, 0.02
 def scan_findings(
     scans: Sequence[Scan], config: LocalCloudConfig | None = None, *, posed: bool = False
 ) -> list[Finding]:
-    """Return the finding on some scans of one recording that explains the others.
+    """Return the fault of some scans of one recording that explains the others, or else remarks.
 
     Sweeps of one plane are not checked.
 
@@ -69,19 +56,51 @@ def scan_findings(
     """
     config = config or LocalCloudConfig()
     whole = [scan for scan in scans if len(scan) >= _MIN_POINTS]
+    clouds = [level_points(scan, config) for scan in whole]
+    seen = [each for points in clouds if (each := Surfaces.of(points)) is not None]
+    if wall := _single_plane(seen, len(whole)):
+        return [wall]
     if not whole or geometry.in_one_plane(max((scan.points for scan in whole), key=len)):
         return []
-    for find in (_unit_or_frame, _axes):
-        if fault := find([_mounted(scan, config) for scan in whole]):
-            return [fault]
-    found = [_beams(whole, posed), _nothing_stands(whole, config)]
+    first = _unit_or_frame(clouds) or _gravity(whole, clouds) or _axes(clouds, seen)
+    if first is not None and first.wrong:
+        return [first]
+    found = [first, _nothing_stands(whole, config), _no_ground(clouds), _beams(whole, posed)]
     return [each for each in found if each is not None]
 
 
-def _mounted(scan: Scan, config: LocalCloudConfig) -> Float32:
-    """Return the points in the frame of a level base."""
+def level_points(scan: Scan, config: LocalCloudConfig) -> Float32:
+    """Return the points in the frame of a level base, or levelled by gravity if it is used."""
     up = Accumulator(config).level(scan)
+    if scan.gravity is not None and scan.T_odom_sensor is None:
+        up = -scan.gravity
     return np.asarray(scan.points @ geometry.upright(up)[:3, :3].T, dtype=np.float32)
+
+
+def _single_plane(seen: Sequence[Surfaces], count: int) -> Finding | None:
+    """Detect scans of one wall; of one floor, see ``_nothing_stands``."""
+    normals = [each for surfaces in seen if (each := surfaces.single_plane()) is not None]
+    walls = [normal for normal in normals if abs(normal[2]) < np.sqrt(0.5)]
+    if not len(walls) > count / 2:
+        return None
+    return Finding(
+        Fault.SINGLE_PLANE,
+        "too little in view: a single plane, along which any position looks alike",
+        "record where there are walls in several directions, trunks, poles or cars",
+    )
+
+
+def _gravity(scans: Sequence[Scan], clouds: Sequence[Float32]) -> Finding | None:
+    """Detect directions of gravity that the ground contradicts."""
+    pairs = zip(scans, clouds, strict=True)
+    against = [
+        is_upside_down(points)
+        for scan, points in pairs
+        if scan.gravity is not None and scan.T_odom_sensor is None
+    ]
+    if sum(against) <= len(scans) / 2:
+        return None
+    return Finding(Fault.GRAVITY, AGAINST_GRAVITY, GRAVITY_REMEDY)
 
 
 def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
@@ -109,29 +128,25 @@ def _unit_or_frame(clouds: list[Float32]) -> Finding | None:
 def _small_unit(clouds: list[Float32], reach: float) -> tuple[Fault, int]:
     """Return millimetres or centimetres, by the sensor's height above ground, or by the ranges."""
     for fault, count in _SMALL_UNITS:
-        found = [_floors(np.asarray(points / count, dtype=np.float32)) for points in clouds]
-        heights = [each[1][2, 0] for each in found if each is not None]
-        if any(_LOWEST_M < height < _LOW_M for height in heights):
+        found = [Surfaces.of(np.asarray(points / count, dtype=np.float32)) for points in clouds]
+        heights = [each.floors()[1][DOWN] for each in found if each is not None]
+        if any(_LOWEST_M < height < LOW_M for height in heights):
             return fault, count
     return _SMALL_UNITS[reach < _USUAL_RANGE_MM]
 
 
-def _axes(clouds: list[Float32]) -> Finding | None:
-    """Detect axes with z not up, by floors."""
-    found = [each for points in clouds if (each := _floors(points)) is not None]
-    if not found:
-        return _beams_about(clouds)
-    shares = np.median([each[0] for each in found], axis=0)
-    axis, side = (int(k) for k in np.unravel_index(shares.argmax(), shares.shape))
-    share, metres = shares[axis, side], [each[1][axis, side] for each in found]
-    other = max(shares[axis, 1 - side], shares[2].max() if axis != 2 else 0.0)
-    if (axis, side) == (2, 0):
+def _axes(clouds: list[Float32], seen: Sequence[Surfaces]) -> Finding | None:
+    """Detect axes with z not up, by the ground, or else by the beams."""
+    side = ground_side(seen)
+    if side == DOWN:
         return None
-    if share < _MIN_FLOOR or other > _MAX_GROUND * share or np.nanmedian(metres) > _LOW_M:
+    if side is None:
         return _beams_about(clouds)
-    if (axis, side) == (2, 1) and any(_looks_up(points) for points in clouds):
+    if side[0] != 2 and sum(map(turns_about_z, clouds)) > len(clouds) / 2:
+        return None  # a level sensor beside a wall
+    if side == UP and any(looks_up(points) for points in clouds):
         return _CEILING
-    return _turned("xyz"[axis], "-+"[side])
+    return _turned(side)
 
 
 def _beams_about(clouds: list[Float32]) -> Finding | None:
@@ -154,12 +169,6 @@ def _camera_axes(what: str) -> Finding:
     )
 
 
-def _looks_up(points: Float32) -> bool:
-    """Return whether a sensor looks up so steeply that surfaces above it may be a ceiling."""
-    steep = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-    return bool(np.percentile(steep, 98) > np.radians(_STEEP_DEG))
-
-
 _CEILING = Finding(
     Fault.Z_DOWN,
     "most flat surfaces lie above the sensor",
@@ -168,11 +177,12 @@ _CEILING = Finding(
 )
 
 
-def _turned(axis: str, sign: str) -> Finding:
+def _turned(side: Side) -> Finding:
+    axis, sign = "xyz"[side[0]], "-+"[side[1]]
     what = f"the ground lies towards {sign}{axis}"
-    if (axis, sign) == ("z", "+"):
+    if side == UP:
         what = f"{what}: the z axis points down"
-        return Finding(Fault.Z_DOWN, what, f"change the signs of y and z, {_MOUNT}[180, 0, 0]}}}}`")
+        return Finding(Fault.Z_DOWN, what, Z_DOWN_REMEDY)
     if (axis, sign) == ("y", "+"):
         return _camera_axes(what)
     what = f"{what}, not towards -z: the sensor is tilted by about 90 degrees"
@@ -182,7 +192,7 @@ def _turned(axis: str, sign: str) -> Finding:
 def _beams(scans: Sequence[Scan], posed: bool) -> Finding | None:
     """Detect few beams, of which a single scan shows little."""
     found = signature(max((scan.points for scan in scans), key=len))
-    if posed or found is None or not 4 <= found.beams <= _FEW_BEAMS:
+    if posed or found is None or found.many or not 4 <= found.beams <= _FEW_BEAMS:
         return None
     return Finding(
         Fault.FEW_BEAMS,
@@ -205,6 +215,18 @@ def _nothing_stands(scans: Sequence[Scan], config: LocalCloudConfig) -> Finding 
         Fault.ONLY_GROUND,
         f"nothing but ground in view: {above:.1%} of the points are above it",
         "record where there are walls, trunks, poles or cars: localization needs them",
+    )
+
+
+def _no_ground(clouds: Sequence[Float32]) -> Finding | None:
+    """Detect scans whose ground was cut off."""
+    if shows_ground(clouds) is not False:
+        return None
+    return Finding(
+        Fault.NO_GROUND,
+        "no ground in the scans",
+        "they match maps without ground; for others keep the points of the ground",
+        wrong=False,
     )
 
 

@@ -26,7 +26,7 @@ _MAX_BEYOND = 0.01  # share of a scan that may lie beyond the range of missing r
 _MIN_THICKNESS = 0.02  # of points at that range about their plane, as a share of the range
 
 
-def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int]:
+def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int, int]:
     """Find the points (N, 3) of a scan that are measurements.
 
     Returns
@@ -35,22 +35,25 @@ def measured_points(points: Float32) -> tuple[NDArray[np.bool_] | None, int, int
         None: all points.
     dropped : int
         Points with a coordinate that is not finite or beyond ``MAX_METRES``.
+    blank : int
+        Those of them with a NaN: missing returns of an organised cloud.
     missing : int
         Points that stand for missing returns.
     """
     if not len(points):
-        return None, 0, 0
-    kept, dropped = None, 0
+        return None, 0, 0, 0
+    kept, dropped, blank = None, 0, 0
     if not np.abs(points).max() <= MAX_METRES:  # also for NaN
         kept = np.asarray((np.abs(points) <= MAX_METRES).all(axis=1))
+        blank = int(np.isnan(points[~kept]).any(axis=1).sum())
         points, dropped = points[kept], int(len(kept) - kept.sum())
     if (missing := missing_returns(points)) is None:
-        return kept, dropped, 0
+        return kept, dropped, blank, 0
     if kept is None:
         kept = ~missing
     else:
         kept[kept] = ~missing
-    return kept, dropped, int(missing.sum())
+    return kept, dropped, blank, int(missing.sum())
 
 
 def missing_returns(points: Float32) -> NDArray[np.bool_] | None:

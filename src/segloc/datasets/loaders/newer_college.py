@@ -61,7 +61,8 @@ def parse(data: bytes) -> Scan:
         if times is not None and scan.kept is not None:
             times = times[scan.kept]
     kept = returned(scan.points, times)
-    kept.dropped, kept.missing_returns = scan.dropped, scan.missing_returns
+    kept.dropped, kept.blank = scan.dropped, scan.blank
+    kept.missing_returns = scan.missing_returns
     return kept
 
 
