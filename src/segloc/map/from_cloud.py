@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,11 +237,9 @@ class ThinCloud:
 
 def _listed(points: Points | Iterable[Points]) -> Iterable[Points]:
     """Return the parts of a cloud, or the only one."""
-    if isinstance(points, str) or not isinstance(points, Iterable):
-        return [np.asarray(points)]
-    if isinstance(points, np.ndarray) or hasattr(points, "__array__"):
-        return [np.asarray(points)]
-    return points
+    given: Any = points  # ``point_rows`` tells what may be points
+    parts = isinstance(given, Iterable) and not hasattr(given, "__array__")
+    return points if parts and not isinstance(given, str) else [given]
 
 
 def build_from_cloud(
