@@ -146,7 +146,7 @@ def _without_figures(text: str) -> str:
 
 
 def _other_places(work: Path) -> Iterator[Row]:
-    """Two places taken for one."""
+    """Yield rows of two places taken for one, and of two frames."""
     from segloc import Config, build_map
 
     for seed in (1, 2):
@@ -161,6 +161,11 @@ def _other_places(work: Path) -> Iterator[Row]:
     ):
         status, text = output_of(*verb.split(), *given)
         yield Row(what, verb, status, text.strip().splitlines()[-1].replace(f"{work}/", ""))
+    write(work / "off", Wrong("", poses=lambda T: geometry.yaw_transform(0.0, (2.0, 0, 0)) @ T))
+    given = [work / "site.segmap", work / "off", "--poses", "poses.tum", "--out", out]
+    status, text = output_of("map", "update", *given)
+    sentence = text.strip().splitlines()[-1].replace(f"{work}/", "")
+    yield Row("a session 2 m off the map", "map update", status, sentence)
 
 
 def table() -> str:

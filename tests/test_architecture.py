@@ -19,6 +19,7 @@ LAYERS = (
     "tracker",
     "tracking",
     "tiles",
+    "joining",
     "localizer",
     "pipeline",
     "config",

@@ -17,9 +17,9 @@ from segloc.datasets.fixes import Fixes, read_fixes
 from segloc.errors import ConfigError, DatasetError, MapFormatError, MapMismatch, MissingDependency
 from segloc.export import export
 from segloc.export.formats import Options
+from segloc.joining.same_place import check_same_place
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.georeference import KEY, Georeference
-from segloc.map.same_place import check_same_place
 from segloc.map.segment_map import along
 from segloc.tiles import TiledMap, cut_tiles
 

@@ -66,12 +66,12 @@ if TYPE_CHECKING:
     from .datasets import open_sequence
     from .frontend.rolling_cloud import RollingCloud
     from .geometry import ros_covariance
+    from .joining.update import update_map
     from .live import LiveLocalizer
     from .localization import Localization, Localized, NotLocalized, Reason
     from .localizer import Localizer
     from .loops import LoopDetector, align_sessions, align_to_map
     from .map.segment_map import SegmentMap
-    from .map.update import update_map
     from .mapping import build_map
     from .prior import Prior
     from .tracker import Tracker
@@ -84,12 +84,12 @@ else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
             "datasets": "open_sequence",
             "frontend.rolling_cloud": "RollingCloud",
             "geometry": "ros_covariance",
+            "joining.update": "update_map",
             "live": "LiveLocalizer",
             "localization": "Localization Localized NotLocalized Reason",
             "localizer": "Localizer",
             "loops": "LoopDetector align_sessions align_to_map",
             "map.segment_map": "SegmentMap",
-            "map.update": "update_map",
             "mapping": "build_map",
             "prior": "Prior",
             "tracker": "Tracker",

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 from samples.on_board import HIGH, LOW, beside, masted, with_mast
-from samples.plaza import Plaza
+from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
-from samples.walk import Points, Poses, Walk, run, written
+from samples.walk import Points, Poses, Walk, as_folder, run, written
 from scipy.spatial.transform import Rotation
 
 from segloc import (
@@ -344,6 +344,47 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "2 of 2 queries failed. Likely cause: the ground lies" in hint
     assert run("localize", good, *out) == 0
     assert "not localized" not in capsys.readouterr().err
+
+
+class OutAndBack(PlazaSequence):
+    """A walk out and back beside itself; the poses of the way back are shifted."""
+
+    def __init__(self, shift_m: tuple[float, float] = (0.0, 0.0)) -> None:
+        super().__init__(Plaza(1, objects=90), steps=15)
+        back = self.poses[::-1] @ geometry.yaw_transform(np.pi, (0.0, 0.5, 0.0))
+        self._truth = np.concatenate([self.poses, back])
+        self.poses = self._truth.copy()
+        self.poses[len(back) :, :2, 3] += shift_m
+        self.indices = np.arange(len(self.poses))
+        self.stamps = self.indices.astype(np.float64)
+
+    def scan(self, i: int) -> Scan:
+        seen = self._plaza.scan(self._truth[i], seed=i)
+        return Scan(seen.points[:: len(seen.points) // 20_000], T_odom_sensor=self.poses[i])
+
+
+@pytest.mark.slow
+def test_two_passes_that_disagree_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses, site = ["--poses", "poses.tum"], tmp_path / "site.segmap"
+    off = as_folder(tmp_path / "off", OutAndBack((1.2, 1.6)))
+    good = as_folder(tmp_path / "good", OutAndBack())
+    assert run("doctor", good, *poses) == 0
+    assert "off scans" not in capsys.readouterr().out
+    assert run("map", "build", good, *poses, "--out", tmp_path / "good.segmap") == 0
+
+    assert run("doctor", off, *poses) == 1
+    found = capsys.readouterr().out
+    assert re.search(
+        r"problem: scans \d+ to 29 are 2\.0 m and 0\.\d degrees off scans \d+ to", found
+    )
+    assert "around x" in found and "`segloc align`" in found
+    assert run("map", "build", off, *poses, "--out", site) == 1
+    error = capsys.readouterr().err
+    assert f"`segloc align {off} " in error and "--unchecked" in error
+    assert not site.exists()
+    assert run("map", "build", off, *poses, "--out", site, "--unchecked") == 0
 
 
 def corridor(beams: int = 16) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pickle
 import time
@@ -16,9 +17,9 @@ from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
+from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.segment_map import along, replaced
-from segloc.map.update import update_map
 from segloc.tiles import (
     TiledLocalizer,
     TiledMap,
@@ -413,7 +414,7 @@ def test_a_session_updates_the_tiles_that_it_reaches(
     before = {tile.cell: tile.file for tile in TiledMap(tmp_path).index.tiles}
     changed, counts = update_tiles(tmp_path, session, GEO)
     expected, whole_counts = update_map(plaza_map, session, GEO)
-    assert counts == whole_counts
+    assert dataclasses.replace(counts, shift=None) == dataclasses.replace(whole_counts, shift=None)
     after = TiledMap(tmp_path)
     far = {cell: file for cell, file in before.items() if cell[0] > 20}
     assert far and far.items() <= {t.cell: t.file for t in after.index.tiles}.items()

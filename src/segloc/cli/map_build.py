@@ -11,6 +11,7 @@ import typer
 from ..errors import ConfigError, DatasetError
 from . import options
 from .console import note, progress
+from .shift import align_command
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -46,17 +47,16 @@ def build(
     threads: options.Threads = 0,
     workers: options.Workers = 1,
     cluster: options.Cluster = None,
-    unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Build the map even if scans and poses mismatch.")
-    ] = False,
+    unchecked: options.Unchecked = False,
 ) -> None:
     """Build a map from recordings with poses.
 
     Several are mapped one by one, here or by --workers or on a --cluster, and then merged. Scans
-    or poses with problems (see `segloc doctor`) are rejected: they would smear the map.
+    or poses with problems (see `segloc doctor`) are rejected: they would smear the map. So are
+    recordings 0.5 m or 1 degree off each other.
     """
     from ..system.files import checked_target
-    from .recording import check_fit, open_recordings
+    from .recording import check_fit, check_passes, open_recordings
 
     options.check_every(every)
     checked_target(out)
@@ -79,6 +79,9 @@ def build(
     if not unchecked:
         for recording, path in zip(recordings, sequences, strict=True):
             check_fit(recording, path, settings.local_cloud)
+        check_passes(
+            recordings, settings.local_cloud, align_command(sequences, poses, select, topic)
+        )
     _build(recordings, settings, out, every, workers, cluster, where)
 
 

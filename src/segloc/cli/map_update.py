@@ -11,15 +11,17 @@ import typer
 from ..errors import ConfigError
 from . import options
 from .console import note, progress, table
+from .shift import align_command, checked_shift, shift_rows
 
 if TYPE_CHECKING:
     from ..config import Config
+    from ..joining.shift import Shift
+    from ..joining.update import UpdateConfig, UpdateCounts
     from ..map.segment_map import SegmentMap
-    from ..map.update import UpdateConfig, UpdateCounts
     from ..tiles import TiledMap
     from ..types import Recording as Scans
 
-    Opened = Callable[[SegmentMap | TiledMap], tuple[Config, Scans]]
+    Opened = Callable[[SegmentMap | TiledMap], tuple[Config, Scans, Shift | None]]
 
 
 def update(
@@ -61,14 +63,15 @@ def update(
     config: options.ConfigFile = None,
     weights: options.Weights = None,
     threads: options.Threads = 0,
+    unchecked: options.Unchecked = False,
 ) -> None:
     """Add a session to a map, and remove objects that are gone.
 
     Objects that the session's rays pass through are counted as missed; those out of view stay. Only
     tiles within the session's reach are read and written. A session with odometry in its own frame
-    is aligned to the map by --align, or rejected.
+    is aligned to the map by --align. One that is 0.5 m or 1 degree off the map is rejected.
     """
-    from ..map.update import UpdateConfig
+    from ..joining.update import UpdateConfig
     from ..tiles import holds_tiles
     from .recording import open_recording
 
@@ -79,17 +82,38 @@ def update(
             "aligns the session's own"
         )
 
-    def opened(where: SegmentMap | TiledMap) -> tuple[Config, Scans]:
-        """Return the settings of a map, and the session in its frame."""
+    remedy = _remedy(prior_map, sequence, poses, select, topic, align)
+
+    def opened(where: SegmentMap | TiledMap) -> tuple[Config, Scans, Shift | None]:
+        """Return the settings of a map, and the session in its frame with its shift."""
         chosen = options.map_settings(where, config, threads, weights)
         mount = chosen.local_cloud.mount
         recording = open_recording(
             sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
         )
-        return chosen, _aligned(recording, where, chosen) if align else recording
+        session = _aligned(recording, where, chosen) if align else recording
+        shift = None if unchecked else checked_shift(where, session, sequence, remedy, chosen)
+        return chosen, session, shift
 
     write = _update_tiles if holds_tiles(prior_map) else _update_map
-    table(out, ("", ""), write(prior_map, out, opened, settings, elsewhere))
+    insists = {"elsewhere": elsewhere, "unchecked": unchecked}
+    table(out, ("", ""), write(prior_map, out, opened, settings, insists))
+
+
+def _remedy(
+    prior_map: str,
+    sequence: Path,
+    poses: Path | None,
+    select: str | None,
+    topic: str | None,
+    aligned: bool,
+) -> str:
+    """Return what to do about a session that is off the map."""
+    if aligned:
+        return f"`segloc doctor {sequence}` checks its scans and poses"
+    each = [poses] if poses else None, [select] if select else None
+    command = align_command([prior_map, sequence], *each, topic)
+    return f"{command} brings them into its frame, as --align here does"
 
 
 def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> Scans:
@@ -106,20 +130,20 @@ def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> 
 
 
 def _update_map(
-    prior_map: str, out: str, opened: Opened, settings: UpdateConfig, elsewhere: bool
+    prior_map: str, out: str, opened: Opened, settings: UpdateConfig, insists: dict[str, bool]
 ) -> list[tuple[str, str]]:
     """Update a map file; return rows on what was done."""
+    from ..joining.update import update_map
     from ..map.segment_map import SegmentMap
-    from ..map.update import update_map
     from .results import writing
 
     target = Path(out)
     with writing(target):
         prior = SegmentMap.load(Path(prior_map))
-        config, recording = opened(prior)
+        config, recording, shift = opened(prior)
         with progress("Updating the map") as bar:
             updated, counts = update_map(
-                prior, recording, config, settings, bar, elsewhere=elsewhere
+                prior, recording, config, settings, bar, shift=shift, **insists
             )
         updated.save(target)
     now = ("segments now", str(len(updated)))
@@ -127,15 +151,17 @@ def _update_map(
 
 
 def _update_tiles(
-    where: str, out: str, opened: Opened, settings: UpdateConfig, elsewhere: bool
+    where: str, out: str, opened: Opened, settings: UpdateConfig, insists: dict[str, bool]
 ) -> list[tuple[str, str]]:
     """Update tiles in place; return rows on what was done."""
     from ..tiles import TiledMap, update_tiles
 
     check_same_tiles(where, out)
-    config, recording = opened(TiledMap(where))
+    config, recording, shift = opened(TiledMap(where))
     with progress("Updating the tiles") as bar:
-        changed, counts = update_tiles(where, recording, config, settings, bar, elsewhere=elsewhere)
+        changed, counts = update_tiles(
+            where, recording, config, settings, bar, shift=shift, **insists
+        )
     tiles = f"{changed.written} of {len(changed.index.tiles)}"
     return [("tiles that changed", tiles), *_rows(counts)]
 
@@ -148,6 +174,7 @@ def check_same_tiles(where: str, out: str) -> None:
 
 def _rows(counts: UpdateCounts) -> list[tuple[str, str]]:
     return [
+        *shift_rows(counts.shift),
         ("  seen again", str(counts.seen)),
         ("  missed", str(counts.aged)),
         ("  removed", str(counts.removed)),

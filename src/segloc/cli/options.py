@@ -110,6 +110,9 @@ MapOut = Annotated[Path, typer.Option("--out", metavar="MAP.segmap", help="The m
 Elsewhere = Annotated[
     bool, typer.Option("--elsewhere", help="Allow a session of another place in the same frame.")
 ]
+Unchecked = Annotated[
+    bool, typer.Option("--unchecked", help="Write the map even if scans and poses do not fit.")
+]
 Weights = Annotated[
     Path | None,
     typer.Option(

@@ -113,6 +113,33 @@ def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> Non
         note(str(finding))
 
 
+def check_passes(recordings: list[Sequence], config: LocalCloudConfig, align: str) -> None:
+    """Reject recordings whose passes over one place disagree; note smaller offsets.
+
+    Parameters
+    ----------
+    align : str
+        Command that joins them.
+
+    Raises
+    ------
+    DatasetError
+        With the offset and its remedy.
+    """
+    from ..doctor import revisit_findings, session_findings
+
+    with busy("Comparing passes over the same places"):
+        findings = [each for r in recordings for each in revisit_findings(r, config)]
+        findings += session_findings(recordings, config)
+    for finding in findings:
+        if finding.wrong:
+            raise DatasetError(
+                f"{finding.what}: the map would show things twice there. {align} joins them; "
+                "--unchecked builds the map anyway"
+            )
+        note(str(finding))
+
+
 def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) -> Recording:
     """Return the recording with levelled poses if requested; otherwise note a tilted frame.
 

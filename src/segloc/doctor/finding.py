@@ -34,6 +34,7 @@ class Fault(str, Enum):
     POSES_IN_MILLIMETRES = "poses in millimetres"
     POSES_SMEAR = "poses smear"
     POSES_OFF = "poses off"
+    PASSES_APART = "passes apart"
 
     def __str__(self) -> str:
         return self.value

@@ -157,7 +157,7 @@ _MAX_SCANS_APART = 25
 _MAX_STEP_M = 60.0  # larger steps between scans are in a smaller unit than metres
 _SPREAD, _TURNING = 6, 6  # pairs along the trajectory, and pairs where it turns most
 _RANGE_M, _VOXEL_M, _NEAR_M = 35.0, 0.3, 0.4
-_SAMPLE, _MIN_POINTS = 1500, 100
+_SAMPLE, MIN_POINTS = 1500, 100
 _MIN_PAIRS = 3
 _SHARED_VIEW = 0.25
 """Scans of a narrow sensor are compared if turned by at most this share of its field of view."""
@@ -239,16 +239,21 @@ def measured(recording: Recording, config: LocalCloudConfig | None = None) -> li
         return []
     meant = [poses, *(reading.means(poses) for reading in READINGS)]
     fits = []
-    view_deg = field_of_view_deg(recording, config or LocalCloudConfig())
-    most_deg = _SHARED_VIEW * view_deg if view_deg < NARROW_DEG else 180.0
+    most_deg = most_turned_deg(recording, config or LocalCloudConfig())
     for i, j in _pairs(poses, _unit(poses), most_deg):
         try:
-            target, source = (_standing(recording.scan(k).points) for k in (i, j))
+            target, source = (standing(recording.scan(k).points) for k in (i, j))
         except DatasetError:
             continue
-        if min(len(target), len(source)) >= _MIN_POINTS and not geometry.in_one_plane(target):
+        if min(len(target), len(source)) >= MIN_POINTS and not geometry.in_one_plane(target):
             fits.append(_fit(target, source, [geometry.inverse(T[i]) @ T[j] for T in meant]))
     return fits
+
+
+def most_turned_deg(recording: Recording, config: LocalCloudConfig) -> float:
+    """Return the maximum turn between scans that share their view [deg]."""
+    view_deg = field_of_view_deg(recording, config)
+    return _SHARED_VIEW * view_deg if view_deg < NARROW_DEG else 180.0
 
 
 def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
@@ -320,7 +325,7 @@ def _within_view(rotations: Float64, starts: Int64, ends: Int64, most_deg: float
     return ends
 
 
-def _standing(points: Float32) -> Float32:
+def standing(points: Float32) -> Float32:
     """Return points above ground near the sensor, thinned: ground agrees with anything."""
     near = points[np.einsum("ij,ij->i", points, points) < _RANGE_M**2]
     thinned = _native.voxel_grid(np.ascontiguousarray(near), _VOXEL_M)

@@ -25,6 +25,7 @@ from ..types import Float32, Recording, Scan, Scanned, as_recording
 from .body_in_view import body_findings
 from .finding import Fault, Finding
 from .pose_faults import pose_findings
+from .revisits import revisit_findings
 from .scan_faults import Z_DOWN_REMEDY, level_points, scan_findings
 
 _MOUNTED_DEG = 10.0
@@ -152,6 +153,8 @@ def examine(
         # poses also look tilted.
         sound = not any(finding.wrong for finding in seen)
         posing = pose_findings(recording, config) if sound else []
+        if sound and posed and not posing:
+            posing = revisit_findings(recording, config)
         if any(finding.wrong for finding in posing):
             tilts = [one for one in tilts if one.fault is not Fault.POSES_TILTED]
         found += tilts + posing

@@ -1,4 +1,4 @@
-"""The prior map: segments, cloud, file, building, merging and updating."""
+"""The prior map: segments, cloud, file, building and merging."""
 
 from __future__ import annotations
 

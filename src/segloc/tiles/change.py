@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..config import Config, map_config
 from ..errors import DatasetError, MapMismatch
+from ..joining.same_place import check_same_place
+from ..joining.shift import TO_THE_FRAME, Session, Shift, check_shift
+from ..joining.update import UpdateConfig, UpdateCounts, update_map
 from ..map.compact import compacted
-from ..map.same_place import check_same_place
+from ..map.config import BuildConfig
 from ..map.segment_map import SegmentMap, along, concatenated, with_sessions
-from ..map.update import UpdateConfig, UpdateCounts, update_map
 from ..types import Float64, Recording
 from .cut import (
     COARSE,
@@ -28,6 +31,7 @@ from .cut import (
     write_tile,
 )
 from .index import TileIndex, cells_of
+from .localizer import localizer_in
 from .store import Store, store_of
 from .tiled_map import TiledMap
 
@@ -44,11 +48,14 @@ class Changed:
         New index.
     read, written : int
         Numbers of tiles.
+    shift : Shift or None
+        Of the session or map against the tiles; None if not measured.
     """
 
     index: TileIndex
     read: int
     written: int
+    shift: Shift | None = None
 
 
 def update_tiles(
@@ -59,10 +66,12 @@ def update_tiles(
     progress: Callable[[int, int], None] | None = None,
     *,
     elsewhere: bool = False,
+    unchecked: bool = False,
+    shift: Shift | None = None,
 ) -> tuple[Changed, UpdateCounts]:
     """Add a session to the tiles within its reach, and remove objects that are gone.
 
-    Works as :func:`segloc.map.update.update_map` does with an untiled map. Writers exclude each
+    Works as :func:`segloc.joining.update.update_map` does with an untiled map. Writers exclude each
     other; readers see either the old tiles or the new ones.
 
     Parameters
@@ -73,7 +82,7 @@ def update_tiles(
         Session with poses T_map_sensor.
     config : Config, optional
         Configuration of the session; by default the map's.
-    update, progress, elsewhere
+    update, progress, elsewhere, unchecked, shift
         As for ``update_map``.
 
     Raises
@@ -86,22 +95,56 @@ def update_tiles(
     poses = recording.poses
     if poses is None or not len(poses):
         raise DatasetError(f"{recording.name}: an update needs a pose for every scan")
+    if shift is None and not unchecked:
+        shift = check_shift_in(TiledMap(where), recording, config, name=recording.name)
     settings = update or UpdateConfig()
     counts: list[UpdateCounts] = []
 
     def change(part: SegmentMap) -> SegmentMap:
         updated, counted = update_map(
-            part, recording, config, settings, progress, elsewhere=elsewhere
+            part,
+            recording,
+            config,
+            settings,
+            progress,
+            elsewhere=elsewhere,
+            unchecked=unchecked,
+            shift=shift,
         )
         counts.append(counted)
         return updated
 
     own = config or map_config(TiledMap(where).coarse())
     reach_m = max(own.local_cloud.radius_m, settings.visibility.range_m)
-    return _changed(store_of(where), poses[:, :2, 3], reach_m, change), counts[0]
+    return _changed(store_of(where), poses[:, :2, 3], reach_m, change, shift=shift), counts[0]
 
 
-def merge_into_tiles(where: str | Path, other: SegmentMap, *, elsewhere: bool = False) -> Changed:
+def check_shift_in(
+    prior_map: SegmentMap | TiledMap,
+    session: Session,
+    config: BuildConfig | None = None,
+    *,
+    name: str = "the session",
+    remedy: str = TO_THE_FRAME,
+    progress: Callable[[int, int], None] | None = None,
+) -> Shift:
+    """Do :func:`segloc.joining.shift.check_shift` in a map of either kind."""
+    tiled = isinstance(prior_map, TiledMap)
+    thin = prior_map.coarse() if isinstance(prior_map, TiledMap) else prior_map
+    localizer = partial(localizer_in, prior_map) if tiled else None
+    return check_shift(
+        thin, session, config, name=name, remedy=remedy, progress=progress, localizer=localizer
+    )
+
+
+def merge_into_tiles(
+    where: str | Path,
+    other: SegmentMap,
+    *,
+    elsewhere: bool = False,
+    unchecked: bool = False,
+    shift: Shift | None = None,
+) -> Changed:
     """Merge a map into the tiles within its reach.
 
     Parameters
@@ -112,27 +155,38 @@ def merge_into_tiles(where: str | Path, other: SegmentMap, *, elsewhere: bool = 
         In the frame of the tiles.
     elsewhere : bool
         True to allow another place in the frame of the tiles.
+    unchecked, shift
+        As for :func:`update_tiles`.
 
     Raises
     ------
     MapMismatch
-        If the descriptors differ, or the maps are not of one place in one frame.
+        If the descriptors differ, the map is off the tiles, or they are not of one place in one
+        frame.
     MapFormatError
         If a required tile is unavailable; names its file.
     """
 
+    if shift is None and not unchecked:
+        shift = check_shift_in(TiledMap(where), other, name="the map")
+
     def change(part: SegmentMap) -> SegmentMap:
-        check_same_place(part, other, elsewhere=elsewhere)
+        check_same_place(part, other, elsewhere=elsewhere, unchecked=unchecked)
         return compacted(part.merge(other), map_config(part).mapping.compact)
 
     path = other.trajectory[:, :2, 3]
     points = other.cloud[:, :2] + other.origin[:2]
     places = np.concatenate([path, other.centroids[:, :2], points])
-    return _changed(store_of(where), places, 0.0, change, path)
+    return _changed(store_of(where), places, 0.0, change, path, shift)
 
 
 def _changed(
-    store: Store, places: Float64, reach_m: float, change: Change, path: Float64 | None = None
+    store: Store,
+    places: Float64,
+    reach_m: float,
+    change: Change,
+    path: Float64 | None = None,
+    shift: Shift | None = None,
 ) -> Changed:
     """Replace the tiles within reach of places; add new ones along a trajectory."""
     with store.alone():
@@ -155,7 +209,7 @@ def _changed(
         found = index.model_copy(update={"coarse": coarse, "tiles": tuple(everything)})
         publish(store, found)
     same = {tile.file for tile in index.tiles}
-    return Changed(found, len(support), sum(tile.file not in same for tile in made))
+    return Changed(found, len(support), sum(tile.file not in same for tile in made), shift)
 
 
 def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:

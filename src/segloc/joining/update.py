@@ -11,19 +11,19 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from ..errors import MapMismatch, SeglocError
+from ..map.build import build_map
+from ..map.compact import CompactConfig, compacted
+from ..map.config import BuildConfig, stored_config, stored_text
+from ..map.segment_map import SegmentMap
 from ..system.section import Section
 from ..types import Float64, Recording, Scanned, as_recording
-from .build import build_map
-from .compact import CompactConfig, compacted
-from .config import BuildConfig, stored_config, stored_text
 from .same_place import check_same_place
-from .segment_map import SegmentMap
+from .shift import TO_THE_FRAME, Shift, check_shift
 from .visibility import Visibility, VisibilityConfig, visibility
 
 Bools = NDArray[np.bool_]
 Int32 = NDArray[np.int32]
 
-TO_THE_FRAME = "`map update --align` (segloc.align_to_map) brings poses into the map's frame"
 _POINT_AREA_M2 = 0.04  # surface per point of a segment: voxels of 0.2 m
 _RADII_M = (0.5, 2.5)
 _MIN_POINTS = 4
@@ -62,6 +62,8 @@ class UpdateCounts:
         Segments dropped to keep the size bounded.
     points_removed : int
         Points removed from the cloud.
+    shift : Shift or None
+        Of the session against the map; None if not measured.
     """
 
     added: int
@@ -71,6 +73,7 @@ class UpdateCounts:
     out_of_view: int
     bounded: int
     points_removed: int
+    shift: Shift | None = None
 
 
 def update_map(
@@ -81,6 +84,8 @@ def update_map(
     progress: Callable[[int, int], None] | None = None,
     *,
     elsewhere: bool = False,
+    unchecked: bool = False,
+    shift: Shift | None = None,
 ) -> tuple[SegmentMap, UpdateCounts]:
     """Add a session to a map, and remove objects that are gone.
 
@@ -100,24 +105,36 @@ def update_map(
         Called with (scans done, total) while visibility is computed.
     elsewhere : bool
         True to allow a session of another place in the map's frame; see
-        :func:`~segloc.map.same_place.check_same_place`.
+        :func:`~segloc.joining.same_place.check_same_place`.
+    unchecked : bool
+        True to add the session even if its poses do not fit the map.
+    shift : Shift, optional
+        As measured by :func:`~segloc.joining.shift.check_shift`; by default measured here.
 
     Raises
     ------
     DatasetError
         If the recording has no poses or no segments.
     MapMismatch
-        If the map has another descriptor, the session does not meet the map, or their clouds
+        If the map has another descriptor, the session's poses are off the map (see
+        :func:`~segloc.joining.shift.check_shift`), it does not meet the map, or their clouds
         disagree.
     SeglocError
         If too much of the visible map is gone, so that the poses are probably in another frame.
     """
     update, recording = update or UpdateConfig(), as_recording(scans)
+    if shift is None and not unchecked:
+        shift = check_shift(prior_map, recording, config, name=recording.name)
     visible = visibility(prior_map.cloud, prior_map.origin, recording, update.visibility, progress)
-    _check_frame(visible, recording.name, update.max_gone)
+    if not unchecked:
+        _check_frame(visible, recording.name, update.max_gone)
     gone, seen = _classify_segments(prior_map, visible, update.gone_share)
     missed = np.where(gone, prior_map.missed + 1, ~seen * prior_map.missed).astype(np.int32)
-    fresh, compact = _session_map(prior_map, recording, config, elsewhere)
+    fresh, compact = _session_map(prior_map, recording, config)
+    try:
+        check_same_place(prior_map, fresh, elsewhere=elsewhere, unchecked=unchecked)
+    except MapMismatch as error:
+        raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
     stay = missed < update.max_missed
     waiting = stay & gone
     points = ~visible.gone | _within_segments(prior_map, waiting)
@@ -132,21 +149,18 @@ def update_map(
         out_of_view=int((~gone & ~seen).sum()),
         bounded=len(merged) - len(updated),
         points_removed=int((~points).sum()),
+        shift=shift,
     )
 
 
 def _session_map(
-    prior_map: SegmentMap, recording: Recording, config: BuildConfig | None, elsewhere: bool
+    prior_map: SegmentMap, recording: Recording, config: BuildConfig | None
 ) -> tuple[SegmentMap, CompactConfig]:
-    """Build the map of a session and check that it fits; also return how to compact it."""
+    """Build the map of a session; also return how to compact it."""
     built = config or stored_config(prior_map, BuildConfig)
     fresh = build_map(recording, built, adapt=False)
     if config is None and (text := stored_text(prior_map)):
         fresh.metadata["config"] = text  # keep one text, not a part beside the whole
-    try:
-        check_same_place(prior_map, fresh, elsewhere=elsewhere)
-    except MapMismatch as error:
-        raise MapMismatch(f"{recording.name}: {error}. {TO_THE_FRAME}") from error
     return fresh, built.mapping.compact
 
 

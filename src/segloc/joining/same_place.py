@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import MapMismatch
+from ..map.georeference import Georeference
+from ..map.segment_map import SegmentMap
 from ..types import Float64
-from .georeference import Georeference
-from .segment_map import SegmentMap
 
 MEET_M, MEET_HEIGHT_M = 5.0, 2.0
 """Maximum distance between trajectories that meet: a street's width, less than a storey."""
@@ -58,7 +58,9 @@ class Meeting:
     gain: float = 0.0
 
 
-def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = False) -> None:
+def check_same_place(
+    mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = False, unchecked: bool = False
+) -> None:
     """Reject two maps that are not of one place in one frame.
 
     Maps without a trajectory, a cloud or segments pass, as do maps with too few points where they
@@ -69,6 +71,8 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
     mine, theirs : SegmentMap
     elsewhere : bool
         True to allow maps that do not meet: two places in one frame.
+    unchecked : bool
+        True to compare nothing but their georeferences.
 
     Raises
     ------
@@ -76,7 +80,7 @@ def check_same_place(mine: SegmentMap, theirs: SegmentMap, *, elsewhere: bool = 
         If they do not meet, or their clouds disagree where they do.
     """
     check_same_frame(mine, theirs)
-    if not all(len(part.trajectory) and len(part.cloud) for part in (mine, theirs)):
+    if unchecked or not all(len(part.trajectory) and len(part.cloud) for part in (mine, theirs)):
         return
     found = meeting(mine, theirs)
     if not found.places:

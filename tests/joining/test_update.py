@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
 from segloc.errors import DatasetError, MapMismatch
+from segloc.joining.update import UpdateConfig, update_map
+from segloc.joining.visibility import visibility
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
-from segloc.map.update import UpdateConfig, update_map
-from segloc.map.visibility import visibility
 from segloc.types import Descriptors
 
 pytestmark = pytest.mark.slow
@@ -167,9 +167,13 @@ def test_poses_of_another_frame_or_place_are_refused(
 ) -> None:
     for yaw, shift in ((0.1, (0.0, 0.0)), (0.5, (9.0, 9.0))):
         frame = geometry.yaw_transform(yaw, (*shift, 0.0))
-        with pytest.raises(SeglocError, match=r"in two frames|is gone|do not meet"):
+        with pytest.raises(SeglocError, match=r"degrees off the map|in two frames|do not meet"):
             update_map(prior_map, Reposed(later, frame @ later.poses), CONFIG)
-    far = Reposed(later, geometry.yaw_transform(0.0, (1000.0, 0.0, 0.0)) @ later.poses)
+    far_off = geometry.yaw_transform(0.0, (1000.0, 0.0, 0.0))
+    with pytest.raises(MapMismatch, match=r"1000\.00 m .*degrees off the map"):
+        update_map(prior_map, Reposed(later, far_off @ later.poses), CONFIG, elsewhere=True)
+    other = PlazaSequence(Plaza(5), steps=8)
+    far = Reposed(other, far_off @ other.poses)
     with pytest.raises(MapMismatch, match="--elsewhere"):
         update_map(prior_map, far, CONFIG)
     joined, counts = update_map(prior_map, far, CONFIG, elsewhere=True)

@@ -11,7 +11,7 @@ from samples.walk import run
 
 from segloc import Config, SegmentMap, build_map, geometry
 from segloc.errors import MapMismatch
-from segloc.map.same_place import Meeting, check_same_place, meeting
+from segloc.joining.same_place import Meeting, check_same_place, meeting
 from segloc.map.voxel_cloud import VoxelCloud
 from segloc.types import Float64, Pose
 

@@ -19,9 +19,9 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..errors import DatasetError
+from ..map.voxel_cloud import VoxelCloud
 from ..system.section import Section
 from ..types import Float32, Float64, Int64, Pose, Recording
-from .voxel_cloud import VoxelCloud
 
 
 class VisibilityConfig(Section):

@@ -1,0 +1,1 @@
+"""Join sessions and maps: check that they share a frame, and update a map."""
