@@ -46,7 +46,7 @@ OFF_M = 2.0
 """Answers farther off are false [m]."""
 
 SOUND = re.compile(
-    r"right|plain|nan|inf|one_scan|full|both|body_only|none|right_f8_ns|float(16|32|64)|list|fortran|"
+    r"right|plain|nan|inf|one_scan|mgrs_f4|full|body_only|none|right_f8_ns|float(16|32|64)|list|fortran|"
     r"big|read-only|strided|longdouble|structured|record|organised|torch|masked|homogeneous|"
     r"memoryview|(crlf_bom|utm|decimal_comma)\.tum|(rtabmap(0|11)|kiss_slam|kitti16)\.txt|"
     r"(index_kitti13|seven_no_time)\.txt|g2o\.g2o|euler_header\.csv|beside_(empty|broken|json)|whole"
