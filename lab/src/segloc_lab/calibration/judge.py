@@ -21,10 +21,8 @@ from segloc import Config, Localizer
 from segloc.system.processes import in_parallel
 
 from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
-from .rows import HOME, World, errors, worlds_of
+from .rows import HOME, World, errors, is_right, worlds_of
 
-RIGHT_M = 2.0
-"""Error from which an answer is false [m]."""
 Answers = list[dict[str, Any]]
 
 
@@ -37,9 +35,9 @@ def answers_in(world: World, config: Config) -> dict[str, Any]:
             start = time.process_time()
             answer = places[name].localize(made.scans)
             taken = time.process_time() - start
-            error = None
+            metres = degrees = None
             if answer.T_map_sensor is not None and name in HOME:
-                error = round(errors(answer.T_map_sensor, made.truth)[0], 3)
+                metres, degrees = (round(e, 3) for e in errors(answer.T_map_sensor, made.truth))
             answers.append(
                 {
                     "query": n,
@@ -47,7 +45,8 @@ def answers_in(world: World, config: Config) -> dict[str, Any]:
                     "sensor": made.sensor,
                     "map": name,
                     "localized": answer.localized,
-                    "error_m": error,
+                    "error_m": metres,
+                    "error_deg": degrees,
                     "confidence": answer.confidence,
                     "reason": answer.reason and answer.reason.name,
                     "ms": round(1000 * taken, 1),
@@ -63,11 +62,15 @@ def flat(worlds: Sequence[dict[str, Any]]) -> Answers:
 
 
 def outcome(answer: dict[str, Any]) -> str:
-    """Classify an answer as found, false or refused."""
+    """Classify an answer as found, false or refused.
+
+    Answers of before 0.4.0 have no heading: theirs counts as right.
+    """
     if not answer["localized"]:
         return "refused"
-    error = answer["error_m"]
-    return "found" if error is not None and error < RIGHT_M else "false"
+    if answer["error_m"] is None:
+        return "false"
+    return "found" if is_right(answer["error_m"], answer.get("error_deg", 0.0)) else "false"
 
 
 COLUMNS = ("queries", "answers of", "in their map", "found", "elsewhere", "false", "worlds")

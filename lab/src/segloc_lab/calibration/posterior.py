@@ -32,11 +32,9 @@ from segloc.likelihood import FEATURES, FREE, Count, VerificationConfig, shipped
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
-from .rows import HOME, MAPS, MEASURES, Rows
+from .rows import HOME, MAPS, MEASURES, Rows, is_right
 from .worlds import KINDS
 
-RIGHT_M, RIGHT_DEG = 2.0, 10.0
-"""Error below which a pose is right [m, deg]."""
 RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
@@ -131,8 +129,8 @@ def records_of(rows: Rows) -> Records:
         fits, n = rows.fits[first:end], end - first
         features[k, :n] = described(fits)
         error, turned = fits[:, _COLUMN["error_m"]], fits[:, _COLUMN["error_deg"]]
-        near = (error < RIGHT_M) & (rows.place[k] in HOME)
-        poses[k, :n], right[k, :n], false[k, :n] = True, near & (turned < RIGHT_DEG), ~near
+        found = is_right(error, turned) & (rows.place[k] in HOME)
+        poses[k, :n], right[k, :n], false[k, :n] = True, found, ~found
     names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
     world = np.array([names[name] for name in rows.world])
     kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])

@@ -18,7 +18,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap
@@ -208,6 +208,15 @@ def rounded(fits: Float64) -> Float32:
 def errors(T_map_sensor: Pose, truth: Pose | None) -> tuple[float, float]:
     """Compute the error of a pose [m, deg]; NaN where the map does not hold the place."""
     return (math.nan, math.nan) if truth is None else pose_error(T_map_sensor, truth)
+
+
+RIGHT_M, RIGHT_DEG = 2.0, 5.0
+"""Errors from which a pose is wrong, and an answer false: a hall turned by half is."""
+
+
+def is_right(metres: ArrayLike, degrees: ArrayLike) -> NDArray[np.bool_]:
+    """Return whether poses of these errors are right; NaN is wrong."""
+    return (np.asarray(metres) < RIGHT_M) & (np.asarray(degrees) < RIGHT_DEG)
 
 
 def main() -> None:

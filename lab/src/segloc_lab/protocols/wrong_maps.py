@@ -25,8 +25,7 @@ from rich.progress import track
 from segloc import Config, Localizer, SegmentMap
 from segloc.system.processes import in_parallel
 
-from ..calibration.judge import RIGHT_M
-from ..calibration.rows import errors
+from ..calibration.rows import errors, is_right
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
 from ..report import Cell, Table, earlier, entries, keep, publish, resumed, wilson
@@ -104,11 +103,14 @@ def searched(part: Part) -> Record:
             if answer.T_map_sensor is None:
                 counts[f"{where}, refused"] += 1
                 continue
-            error_m = errors(answer.T_map_sensor, each.truth if name in HOME else None)[0]
-            right = error_m < RIGHT_M
+            truth = each.truth if name in HOME else None
+            error_m, error_deg = errors(answer.T_map_sensor, truth)
+            right = is_right(error_m, error_deg)
             counts[f"{where}, {'right' if right else 'false'}"] += 1
             if not right:
-                found = {"map": name, "error_m": round(error_m, 2) if name in HOME else None}
+                found = {"map": name, "error_m": None, "error_deg": None}
+                if name in HOME:
+                    found |= {"error_m": round(error_m, 2), "error_deg": round(error_deg, 1)}
                 about = {"query": n, "made": each.kind, "sensor": each.sensor}
                 false.append({**about, **found, "confidence": round(answer.confidence, 4)})
     seconds = round(time.process_time() - start, 1)
@@ -150,7 +152,7 @@ def _queries(counts: Counter[str], where: str) -> int:
 
 def false_answers(records: list[Record]) -> list[tuple[Cell, ...]]:
     """Return a row for each false answer, the most confident first."""
-    names = ("made", "sensor", "query", "map", "error_m", "confidence")
+    names = ("made", "sensor", "query", "map", "error_m", "error_deg", "confidence")
     rows = [(r["part"][0], *(f[name] for name in names)) for r in records for f in r["false"]]
     return sorted(rows, key=lambda row: -row[-1])
 
@@ -168,7 +170,7 @@ def report(records: list[Record], folder: Path | None) -> None:
     )
     tables = [Table(COLUMNS, rows, note)]
     if listed := false_answers(records):
-        columns = ("world", "query", "sensor", "number", "map", "error m", "confidence")
+        columns = ("world", "query", "sensor", "number", "map", "error m", "deg", "confidence")
         tables.append(Table(columns, listed, title="False answers"))
     publish(folder, "Queries in maps that do not hold them", *tables)
 
