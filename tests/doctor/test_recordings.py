@@ -14,6 +14,7 @@ SWAYS = {Fault.TILT}
 TILTED = {Fault.POSES_TILTED}
 LEFT_OUT = {Fault.READING}
 NO_GROUND = {Fault.NO_GROUND}
+ON_ROBOT = {Fault.BODY_IN_VIEW}
 HEALTHY: set[Fault] = set()
 STARTS = [f"kitti_starts/{place:02d}_{k}.laz" for place in range(1, 11) for k in (0, 9)]
 
@@ -26,9 +27,9 @@ NOTES: list[tuple[str, str | None, set[Fault]]] = [
     ("hdl32e", None, UNPOSED | SWAYS),
     ("vlp16", None, SHOWS_LITTLE | SWAYS),
     ("vlp16_corridor/scans", None, SHOWS_LITTLE),
-    ("vlp16_corridor/scans", "vlp16_corridor/poses.tum", HEALTHY),
-    ("vlp16_corridor/scans", "vlp16_corridor/map_outbound.tum", LEFT_OUT),
-    ("vlp16_corridor/scans", "vlp16_corridor/query_return.tum", LEFT_OUT),
+    ("vlp16_corridor/scans", "vlp16_corridor/poses.tum", ON_ROBOT),
+    ("vlp16_corridor/scans", "vlp16_corridor/map_outbound.tum", ON_ROBOT | LEFT_OUT),
+    ("vlp16_corridor/scans", "vlp16_corridor/query_return.tum", ON_ROBOT | LEFT_OUT),
     ("vlp16_narrow_corridor/scans", None, SHOWS_LITTLE | SWAYS),
     ("vlp16_narrow_corridor/scans", "vlp16_narrow_corridor/poses.tum", HEALTHY),
     ("mid360_lab/0618/scans", None, UNPOSED),

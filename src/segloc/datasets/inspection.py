@@ -102,7 +102,7 @@ def _scan_problems(recording: RecordedSequence, scans: list[tuple[int, Scan]]) -
 
 def _usual_size(scans: list[tuple[int, Scan]]) -> tuple[float, float]:
     """Return the median number of points of a scan, and by which ratio a scan may differ."""
-    sizes = np.array([len(scan) for _, scan in scans if len(scan)] or [1.0])
+    sizes = np.array([len(scan) for _, scan in scans if len(scan)] or [1])
     median = float(np.median(sizes))
     spread = float(np.median(np.abs(np.log(sizes / median))))
     return median, max(_SIZE_RATIO, float(np.exp(_USUAL_SPREADS * spread)))
