@@ -108,7 +108,7 @@ def searched(part: Part) -> Record:
             right = is_right(error_m, error_deg)
             counts[f"{where}, {'right' if right else 'false'}"] += 1
             if not right:
-                found = {"map": name, "error_m": None, "error_deg": None}
+                found: Record = {"map": name, "error_m": None, "error_deg": None}
                 if name in HOME:
                     found |= {"error_m": round(error_m, 2), "error_deg": round(error_deg, 1)}
                 about = {"query": n, "made": each.kind, "sensor": each.sensor}
