@@ -24,5 +24,7 @@ COPY --from=build /workspace/install /workspace/install
 COPY docker/ros2-entrypoint.sh /ros2-entrypoint.sh
 USER segloc
 WORKDIR /home/segloc
+# On SIGTERM ros2 launch leaves its nodes running, on SIGINT it ends them.
+STOPSIGNAL SIGINT
 ENTRYPOINT ["/ros2-entrypoint.sh"]
 CMD ["segloc", "--help"]

@@ -35,8 +35,14 @@ PYTHON
 
 export PATH=$home/bin:$PATH AMENT_PREFIX_PATH=$home CMAKE_PREFIX_PATH=$home COLCON_HOME=$home/colcon
 export CFLAGS=-O0 CXXFLAGS=-O0 MAKEFLAGS=-j2 ROS_LOG_DIR=$home/log
+# ROS 2 launch is no wheel; with its sources beside the clone, the launch files are run, too.
+sources=(ros2 tests/ros2/interfaces)
+if [[ -d ../shared/ros2_launch ]]; then
+  sources+=(../shared/ros2_launch)
+  export SEGLOC_ROS_LAUNCH=$PWD/../shared/ros2_launch
+fi
 colcon --log-base "$ws/log" build --build-base "$ws/build" --install-base "$ws/install" \
-  --base-paths ros2 tests/ros2/interfaces --event-handlers console_direct- \
+  --base-paths "${sources[@]}" --event-handlers console_direct- \
   --cmake-args "-DPython3_EXECUTABLE=$home/bin/python" -DBUILD_TESTING=OFF
 
 # Other robots must not be met, and no other run of these tests.

@@ -237,19 +237,22 @@ class Peer(Node):
 
 
 @contextmanager
-def running(executable: Path, log: Path, **parameters: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """A node in a process of its own."""
+def running(
+    executable: Path, log: Path, *arguments: str, **parameters: Any
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A node in a process of its own; terminated at the end, unless it has ended before."""
     settings = [item for key, value in parameters.items() for item in ("-p", f"{key}:={value}")]
+    command = [executable, "--ros-args", *settings, *arguments]
     with log.open("ab") as out:
-        process = subprocess.Popen(
-            [executable, "--ros-args", *settings], stdout=out, stderr=out, env=os.environ.copy()
-        )
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                process.wait(60)
+        process = subprocess.Popen(command, stdout=out, stderr=out, env=os.environ.copy())
+    try:
+        yield process
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(60) == 0 and "Traceback" not in log.read_text(), log.read_text()
+    finally:
+        process.kill()
+        process.wait(60)
 
 
 __all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "running"]

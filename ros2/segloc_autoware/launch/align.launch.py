@@ -6,9 +6,9 @@ With ``odometry:=topic odom:=/localization/kinematic_state`` the vehicle may dri
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode
+from launch_ros.parameter_descriptions import ParameterValue
+from segloc_ros.launching import declared, localizer
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -22,16 +22,12 @@ def generate_launch_description() -> LaunchDescription:
         "use_sim_time": ("false", "for a bag or a simulator"),
     }
     given = {name: LaunchConfiguration(name) for name in arguments}
-    node = LifecycleNode(
-        package="segloc_autoware",
-        executable="align_node",
-        name="segloc",
-        namespace=given["namespace"],
-        output="screen",
-        respawn=True,
+    node = localizer(
+        "segloc_autoware",
+        "align_node",
         parameters=[
             {
-                "map": given["map"],
+                "map": ParameterValue(given["map"], value_type=str),
                 "use_sim_time": given["use_sim_time"],
                 "mode": "initialpose",
                 "trigger": "service",
@@ -46,8 +42,4 @@ def generate_launch_description() -> LaunchDescription:
             ("ndt_align_srv", given["service"]),
         ],
     )
-    declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in arguments.items()
-    ]
-    return LaunchDescription([*declared, node])
+    return LaunchDescription([*declared(arguments), node])

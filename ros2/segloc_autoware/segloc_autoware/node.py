@@ -5,9 +5,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-import rclpy
 from segloc_ros.messages import click_in, pose_out
-from segloc_ros.node import SeglocNode, run
+from segloc_ros.node import SeglocNode
 
 from segloc import ConfigError, SeglocError
 
@@ -71,12 +70,3 @@ class AlignNode(SeglocNode):
     def _set_reliable(response: Any, reliable: bool) -> None:
         if hasattr(response, "reliable"):  # older types have none
             response.reliable = reliable
-
-
-def main() -> None:
-    rclpy.init()
-    run(AlignNode())
-
-
-if __name__ == "__main__":
-    main()

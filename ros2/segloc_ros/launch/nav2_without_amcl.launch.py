@@ -30,5 +30,5 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[clock, {"autostart": True, "node_names": ["map_server"]}],
     )
     node = segloc(mode="tf", trigger="periodic", smooth_tf="true")
-    navigation = nav2("navigation_launch.py")
+    navigation = nav2(use_localization="False")
     return LaunchDescription([*nav2_arguments(), node, server, manager, navigation])

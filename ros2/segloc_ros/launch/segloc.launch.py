@@ -5,13 +5,15 @@ ros2 launch segloc_ros segloc.launch.py map:=/maps/site.segmap points:=/points o
 Arguments that are not given are as the file of parameters says.
 """
 
+from pathlib import Path
+
 import yaml
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
-from segloc_ros.launching import share
+from launch_ros.actions import Node
+from segloc_ros.launching import declared, localizer, share
 
 SHARE = share("segloc_ros")
 PARAMETERS = {
@@ -24,53 +26,57 @@ PARAMETERS = {
     "smooth_tf": "true: map -> odom without jumps",
     "use_sim_time": "true for a bag or a simulator",
 }
-VALUES = ("base_to_lidar", "smooth_tf", "use_sim_time")
-ARGUMENTS = {
-    "params_file": (str(SHARE / "config" / "segloc.yaml"), "parameters"),
+FLAGS = ("smooth_tf", "use_sim_time")
+ARGUMENTS = {name: ("", text) for name, text in PARAMETERS.items()} | {
+    "params_file": ("", "file of parameters, which may hold only those that differ"),
+    "default_params_file": (str(SHARE / "config" / "segloc.yaml"), "file of the others"),
     "namespace": ("", "namespace of the node, its topics and tf"),
     "points": ("points", "topic of the clouds"),
     "odom": ("odom", "topic of the odometry"),
+    "click": ("segloc/click", "topic of the poses that are set in RViz"),
     "rviz": ("false", "true: show the map, the clouds and the pose"),
 }
+TF = [("/tf", "tf"), ("/tf_static", "tf_static")]  # in a namespace each robot has its own
 
 
-def node(context: LaunchContext) -> list[LifecycleNode]:
-    """The node, with the parameters that were given."""
-    values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
-    given = {name: value for name, value in values.items() if value}
-    given |= {name: yaml.safe_load(given[name]) for name in VALUES if name in given}
-    if "base_to_lidar" in given:  # ROS takes no list of integers and floats
-        given["base_to_lidar"] = [float(number) for number in given["base_to_lidar"]]
-    return [
-        LifecycleNode(
-            package="segloc_ros",
-            executable="segloc_node",
-            name="segloc",
-            namespace=LaunchConfiguration("namespace"),
-            output="screen",
-            respawn=True,
-            respawn_delay=2.0,
-            parameters=[LaunchConfiguration("params_file"), given],
-            remappings=[
-                ("points", LaunchConfiguration("points")),
-                ("odom", LaunchConfiguration("odom")),
-                ("/tf", "tf"),  # in a namespace each robot has its own
-                ("/tf_static", "tf_static"),
-            ],
-        )
-    ]
+def mount(text: str) -> list[float]:
+    """The numbers of base_to_lidar; ROS takes no list of integers and floats."""
+    try:
+        return [float(number) for number in yaml.safe_load(text)]
+    except (TypeError, ValueError, yaml.YAMLError):
+        raise RuntimeError(
+            f"base_to_lidar:={text} is no list '[x, y, z, roll, pitch, yaw]' in metres and radians"
+        ) from None
 
 
-def generate_launch_description() -> LaunchDescription:
-    arguments = {name: ("", text) for name, text in PARAMETERS.items()} | ARGUMENTS
+def nodes(context: LaunchContext) -> list[Node]:
+    """The node with the parameters that were given, and RViz."""
+    values = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = {name: values[name] for name in PARAMETERS if values[name]}
+    given |= {name: yaml.safe_load(given[name]) for name in FLAGS if name in given}
+    if "base_to_lidar" in given:
+        given["base_to_lidar"] = mount(given["base_to_lidar"])
+    files = [Path(values[name]) for name in ("default_params_file", "params_file") if values[name]]
+    for file in files:
+        if not file.is_file():
+            raise RuntimeError(f"no file of parameters {file}: check params_file")
+    localizing = localizer(
+        "segloc_ros",
+        "segloc_node",
+        parameters=[*files, given],
+        remappings=[("points", values["points"]), ("odom", values["odom"]), *TF],
+    )
     rviz = Node(
         package="rviz2",
         executable="rviz2",
+        namespace=values["namespace"],
         arguments=["-d", str(SHARE / "rviz" / "segloc.rviz")],
-        condition=IfCondition(LaunchConfiguration("rviz")),
+        parameters=[{"use_sim_time": given.get("use_sim_time", False)}],
+        remappings=[("points", values["points"]), ("segloc/click", values["click"]), *TF],
+        condition=IfCondition(values["rviz"]),
     )
-    declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in arguments.items()
-    ]
-    return LaunchDescription([*declared, OpaqueFunction(function=node), rviz])
+    return [localizing, rviz]
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=nodes)])

@@ -13,10 +13,14 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Trigger
@@ -32,6 +36,7 @@ from .core.robot import Robot
 from .core.settings import Settings
 from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
+from .process import EndSignal
 from .tf_port import TfPort
 from .waiting import Waiting
 
@@ -41,6 +46,16 @@ except ImportError:  # then the parameter map does it
     LoadMap = None
 
 _TICK_S = 0.5
+# What wrong parameters, arguments and installations raise, here and in rclpy.
+REFUSALS = (
+    SeglocError, ImportError, NameValidationException, ParameterException,
+    rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError,
+)  # fmt: skip
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error, without line breaks."""
+    return " ".join(str(error).split())
 
 
 class SeglocNode(LifecycleNode):
@@ -83,6 +98,11 @@ class SeglocNode(LifecycleNode):
 
     # --- lifecycle -----------------------------------------------------------------------------
 
+    def start(self) -> bool:
+        """Configure and activate; False if either is refused."""
+        success = TransitionCallbackReturn.SUCCESS
+        return self.trigger_configure() is success and self.trigger_activate() is success
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             settings = self.settings()
@@ -91,8 +111,8 @@ class SeglocNode(LifecycleNode):
                 self._tf = TfPort(self, self._on_tf)
             except ImportError:
                 self._without_tf(settings)
-        except (SeglocError, ImportError) as error:
-            self.get_logger().error(str(error))
+        except REFUSALS as error:
+            self.get_logger().error(one_line(error))
             self._tear_down()
             return TransitionCallbackReturn.FAILURE
         self.robot = Robot(settings)
@@ -124,11 +144,14 @@ class SeglocNode(LifecycleNode):
         ]
         if settings.odometry == "topic":
             wanted.append((Odometry, settings.odom_topic, self._on_odometry, fast))
-        self._inputs = [
-            self.create_subscription(kind, topic, heard, qos)
-            for kind, topic, heard, qos in wanted
-            if topic
-        ]
+        try:
+            for kind, topic, heard, qos in wanted:
+                if topic:
+                    self._inputs.append(self.create_subscription(kind, topic, heard, qos))
+        except REFUSALS as error:
+            self.get_logger().error(one_line(error))
+            self.on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -301,27 +324,31 @@ class SeglocNode(LifecycleNode):
         return self.pump.read(self._outputs.summary)
 
 
-def run(node: SeglocNode) -> None:
-    """Spin a node until ROS ends; configured and activated at once where it is to be."""
+def run(kind: type[SeglocNode], end: EndSignal) -> bool:
+    """Spin a node, configured and activated if ``autostart`` is set, until a signal ends it.
+
+    Returns
+    -------
+    bool
+        False if its parameters, or what is installed, do not let it start; the log says why.
+    """
+    stop: Future = Future()
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = kind()
+    except REFUSALS as error:
+        get_logger("segloc").fatal(one_line(error))
+        rclpy.try_shutdown()
+        return False
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    end.call(lambda: stop.set_result(None))
     try:
-        if node.get_parameter("autostart").value:
-            if node.trigger_configure() is not TransitionCallbackReturn.SUCCESS:
-                raise SystemExit(1)
-            node.trigger_activate()
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        started = not node.get_parameter("autostart").value or node.start()
+        if started:
+            executor.spin_until_future_complete(stop)
     finally:
         node.destroy_node()
+        executor.shutdown()
         rclpy.try_shutdown()
-
-
-def main() -> None:
-    rclpy.init()
-    run(SeglocNode())
-
-
-if __name__ == "__main__":
-    main()
+    return started

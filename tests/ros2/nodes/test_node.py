@@ -438,13 +438,6 @@ def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) ->
             assert to(transition)
 
 
-def test_a_wrong_parameter_is_named_and_ends_it(tmp_path: Path) -> None:
-    with running(NODE, tmp_path / "log", mode="odom") as node:
-        assert node.wait(WAIT_S) == 1
-    text = (tmp_path / "log").read_text()
-    assert "parameters: mode: " in text and "Traceback" not in text
-
-
 def test_autoware_is_answered(peer: Peer, maps: Path, tmp_path: Path) -> None:
     kind = pytest.importorskip("autoware_internal_localization_msgs.srv").PoseWithCovarianceStamped
     peer.clear()
