@@ -47,7 +47,7 @@ def answered() -> tuple[SegmentMap, list[Shown]]:
         found = trace(localizer, clouds.gather(tuesday.scan(i)), f"scan {i}")
         result = found.result
         T = result.T_map_sensor if result.localized else None
-        outcome = "found" if result.localized else "refused"
+        outcome = "localized" if result.localized else "refused"
         shown.append(Shown(i, outcome, sentence(result), T, stages_of(found)))
     return localizer.prior_map, shown
 

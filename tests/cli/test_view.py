@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -16,14 +16,21 @@ from samples import browser
 from samples.walk import POINTS_ASIDE, Site, run
 from scipy.spatial import cKDTree
 
-from segloc import SegmentMap
+from segloc import SegmentMap, geometry
 from segloc.datasets import open_sequence
 from segloc.errors import SeglocError
 from segloc.inspect import viewer
-from segloc.inspect.following import SO_FAR, draw_moments, follows, newest_points, read_moments
+from segloc.inspect.following import (
+    SO_FAR,
+    Moment,
+    draw_moments,
+    follows,
+    newest_points,
+    read_moments,
+)
 from segloc.inspect.pictures import GREEN, rgb
 from segloc.inspect.results import pack, read_results, unpack
-from segloc.inspect.scene import FIXED, OF_QUERY, MapScene
+from segloc.inspect.scene import FIXED, OF_QUERY, OTHER, RUNNER_UP, MapScene
 from segloc.tracking.belief import Status
 
 
@@ -53,18 +60,19 @@ class Api:
 
     def __init__(self) -> None:
         self.drawn: dict[str, Handle] = {}
+        self.colours: dict[str, Any] = {}
 
-    def _add(self, name: str, what: Any, *_: Any, **__: Any) -> Handle:
-        self.drawn[name] = Handle(what)
+    def _add(self, name: str, what: Any, colours: Any = None, **_: Any) -> Handle:
+        self.drawn[name], self.colours[name] = Handle(what), colours
         return self.drawn[name]
 
-    add_point_cloud = add_line_segments = add_label = _add
+    add_point_cloud = add_line_segments = add_arrows = add_label = _add
 
 
 @pytest.mark.slow
 def test_debug_keeps_each_query_small_and_whole(site: Site, results: Path) -> None:
     shown = read_results(results)
-    assert [each.outcome for each in shown] == ["found", "found", "refused"]
+    assert [each.outcome for each in shown] == ["localized", "localized", "refused"]
     for each in shown:
         assert each.stages is not None
         file = results / "debug" / f"{each.index}.npz"
@@ -105,8 +113,13 @@ def test_the_query_lies_on_the_map_in_the_scene(site: Site, results: Path) -> No
     scene, shown = MapScene(api, prior_map), read_results(results)
     scene.draw_map()
     scene.draw_queries(shown)
-    assert {"/map/cloud", "/map/path", "/queries/found", "/queries/refused"} <= api.drawn.keys()
-    assert len(api.drawn["/queries/found"].points) == 2
+    assert {
+        "/map/cloud",
+        "/map/trajectory",
+        "/queries/localized",
+        "/queries/refused",
+    } <= api.drawn.keys()
+    assert len(api.drawn["/queries/localized"].points) == 2
     scene.draw_query(shown[0])
     lines = api.drawn["/query/inliers"].points
     assert np.abs(lines[:, 0, :2] - lines[:, 1, :2]).max() < 0.6
@@ -122,22 +135,48 @@ def test_the_query_lies_on_the_map_in_the_scene(site: Site, results: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_first_picture_is_the_map_its_path_and_the_best_poses(
-    site: Site, results: Path
-) -> None:
-    scene, shown = MapScene(Api(), SegmentMap.load(site.map)), read_results(results)
+def test_the_first_picture_is_the_query_on_its_map(site: Site, results: Path) -> None:
+    prior_map, shown = SegmentMap.load(site.map), read_results(results)
+    api = Api()
+    scene = MapScene(api, prior_map)
     scene.draw_map()
     scene.draw_queries(shown)
+    scene.in_view(scene.middle(shown[0]))
     scene.draw_query(shown[0])
-    boxes: dict[str, MagicMock] = {}
-    server = MagicMock()
-    server.gui.add_checkbox = lambda name, value: boxes.setdefault(name, MagicMock(value=value))
-    viewer._add_layers(server, scene, (*FIXED, *OF_QUERY))
     seen = {name for name, handles in scene.layers.items() if any(h.visible for h in handles)}
-    assert seen == set(FIXED)
-    boxes["cloud"].value = True
-    boxes["cloud"].on_update.call_args.args[0](None)
-    assert all(handle.visible for handle in scene.layers["cloud"])
+    assert seen == {*FIXED, *OF_QUERY} - {OTHER, RUNNER_UP}
+    start, tip = api.drawn["/query/sensor"].points[0]
+    T = shown[0].T_map_sensor
+    assert T is not None and np.allclose((tip - start) / np.linalg.norm(tip - start), T[:3, 0])
+    assert np.allclose(start[:2], (T[:3, 3] - prior_map.origin)[:2], atol=1e-3)
+    ((left, right),) = api.drawn["/scale/bar"].points
+    assert api.drawn["/scale/length"].points == f"{np.linalg.norm(right - left):.0f} m"
+
+
+@pytest.mark.slow
+def test_the_slider_rests_on_numbers_of_queries(site: Site, results: Path) -> None:
+    numbered = zip(read_results(results), (3, 7, 40), strict=True)
+    shown = [replace(each, index=k) for each, k in numbered]
+    stages = shown[2].stages
+    assert stages is not None and stages.T_map_local is not None
+    beside = stages.T_map_local @ geometry.yaw_transform(0.5, (9.0, 0.0, 0.0))
+    shown[2] = replace(shown[2], stages=replace(stages, T_map_other=beside))
+    scene, server = MapScene(Api(), SegmentMap.load(site.map)), MagicMock()
+    slider, texts = server.gui.add_slider(), [MagicMock(), MagicMock()]
+    slider.value, server.gui.add_markdown.side_effect = 3, texts
+    viewer._add_choice(server, scene, shown)
+    change = slider.on_update.call_args.args[0]
+    for moved, rests in ((4, 7), (5, 3), (30, 40), (40, 40)):
+        slider.value = moved
+        change(None)
+        assert slider.value == rests and texts[0].content.startswith(f"**{rests}: ")
+    group = server.gui.add_button_group()
+    click = group.on_click.call_args.args[0]
+    for pressed, visible in ((RUNNER_UP, True), ("pose", False)):
+        group.value = pressed
+        click(None)
+        handles = scene.layers[RUNNER_UP]
+        assert handles and all(handle.visible == visible for handle in handles)
 
 
 @pytest.mark.slow
@@ -209,7 +248,7 @@ def test_the_page_shows_the_map_and_the_queries(
         assert page.until(f"{output}.includes('{expected}')"), page.value(output)
         page.wait(3.0)
 
-    choose(0, "0: found")
+    choose(0, "0: localized")
     before = drawn(page)
     assert colourful(before) > 0.01  # segments, matches, markers
     choose(2, "2: refused\\n\\nnot localized, ")
@@ -230,15 +269,12 @@ def test_the_server_shows_a_panel_with_the_reason(
     server = viewer.serve(SegmentMap.load(site.map), shown, 0)
     try:
         page.open(f"http://localhost:{server.get_port()}")
-        assert page.until("document.body.innerText.includes('0: found')")
-        boxes = "[...document.querySelectorAll('input[type=checkbox]')]"
-        assert page.until(f"{boxes}.length > 0")
-        calm = colourful(pixels(page))
-        page.value(f"{boxes}.forEach(box => box.checked || box.click())")  # shows every layer
+        assert page.until("document.body.innerText.includes('0: localized')")
+        assert page.value("document.title") == "segloc"
         shot = drawn(page)
     finally:
         server.stop()
-    assert calm < 0.01 < colourful(shot)
+    assert colourful(shot) > 0.01  # its segments and matches
     assert "**2: refused**\n\nnot localized, " in viewer.described(shown[2])
 
 
@@ -263,7 +299,7 @@ def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Pat
         assert [m.state for m in moments] == ["lost", "localized", "localized"] and follows(out)
         assert "4 views agree" in moments[-1].text and points is not None
         draw_moments(scene, moments, points)
-        now = api.drawn["/robot/now"].points[0] + prior_map.origin
+        now = api.drawn["/robot/now"].points[0, 0] + prior_map.origin
         assert np.allclose(now[:2], walk.poses[4][:2, 3], atol=1e-3)
         cloud = prior_map.cloud.astype(np.float64)
         nearest = cKDTree(cloud).query(api.drawn["/robot/cloud"].points)[0]
@@ -271,6 +307,16 @@ def test_the_robot_of_live_is_followed_while_it_drives(site: Site, tmp_path: Pat
     assert list(out.iterdir()) == []
     with pytest.raises(SeglocError, match="no results of `segloc live --out`"):
         read_moments(out)
+
+
+def test_lost_and_false_stretches_have_a_colour_of_their_own(site: Site) -> None:
+    T = np.eye(4)
+    states = (("localized", T), ("lost", None), ("localized", T), ("false", T), ("localized", T))
+    moments = [Moment(k, state, "", T) for k, (state, T) in enumerate(states)]
+    api = Api()
+    draw_moments(MapScene(api, SegmentMap.load(site.map)), moments)
+    colours = api.colours["/robot/trajectory"][:, 0].tolist()
+    assert len({tuple(each) for each in colours}) == 3 and len(colours) == 3
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
@@ -77,7 +77,7 @@ def live(
     """
     from ..datasets import NO_POSES
     from ..live import PoseKeeper
-    from ..live.replay import play, summary
+    from ..live.replay import correct, play, summary
     from ..tiles import open_map
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
     from .results import check_folder, write_together
@@ -108,7 +108,8 @@ def live(
         note(line)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
     facts |= summary(played, truths, tolerance_m, tolerance_deg)
-    write_together(out, _contents(recording, played, facts))
+    fits = correct(played, truths, tolerance_m, tolerance_deg)
+    write_together(out, _contents(recording, played, facts, fits))
     _show(facts, f"{recording.name} in {prior_map.name}")
 
 
@@ -139,11 +140,13 @@ def _teller(recording: Scans) -> Callable[[int, State], None]:
     return on_state
 
 
-def _contents(recording: Scans, played: Replay, facts: dict[str, Any]) -> dict[str, bytes]:
-    lines = [
-        json.dumps(record(recording, position, played.states[position]), allow_nan=False) + "\n"
-        for position in map(int, played.positions)
-    ]
+def _contents(
+    recording: Scans, played: Replay, facts: dict[str, Any], fits: Sequence[bool | None]
+) -> dict[str, bytes]:
+    lines = []
+    for position, correct in zip(map(int, played.positions), fits, strict=True):
+        state = record(recording, position, played.states[position]) | {"correct": correct}
+        lines.append(json.dumps(state, allow_nan=False) + "\n")
     return {
         "poses.tum": _poses(recording, played),
         "states.jsonl": "".join(lines).encode(),
@@ -250,4 +253,5 @@ def record(recording: Scans, position: int, state: State) -> dict[str, Any]:
         "index": int(recording.indices[position]),
         **state.record(),
         "stamp": None if recording.stamps is None else float(recording.stamps[position]),
+        "correct": None,
     }

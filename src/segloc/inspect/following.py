@@ -11,15 +11,21 @@ import numpy as np
 
 from ..errors import SeglocError
 from ..types import Float64, Pose
-from .pictures import GREEN, ORANGE, PATH, RED, rgb
+from .pictures import GREEN, ORANGE, PATH, RED, VIOLET, rgb
 from .results import parsed, pose_of
 from .scene import MapScene
 
 STATES, SO_FAR, NEWEST = "states.jsonl", "so_far.jsonl", "newest.npy"
 """All states of a finished run; during a run the states so far, and above-ground points of the
 newest scan."""
-_COLOURS = {"lost": RED, "candidate": ORANGE, "degraded": ORANGE, "localized": GREEN}
-_ABOVE_M = 1.0
+COLOURS = {
+    "localized": GREEN,
+    "candidate": ORANGE,
+    "degraded": ORANGE,
+    "lost": VIOLET,
+    "false": RED,
+}
+_ABOVE_M, _ARROW_M = 1.0, 8.0
 _MAX_POINTS = 100_000
 
 
@@ -32,7 +38,7 @@ class Moment:
     index : int
         Number of the scan.
     state : str
-        lost, candidate, localized or degraded.
+        lost, candidate, localized or degraded; "false" if the pose is known to be wrong.
     text : str
         Description in Markdown.
     T_map_base : (4, 4) float64 or None
@@ -71,6 +77,8 @@ def read_moments(folder: Path) -> list[Moment]:
 
 def _moment(record: Any) -> Moment:
     index, state = int(record["index"]), str(record["state"])
+    if record.get("correct") is False:
+        state = "false"
     text = (
         f"**scan {index}: {state}**\n\n{record['reason'] or 'no problems'}\n\n"
         f"- confidence {float(record['confidence']):.2f}\n"
@@ -94,16 +102,23 @@ def newest_points(folder: Path) -> Float64 | None:
 
 
 def draw_moments(scene: MapScene, moments: Sequence[Moment], points: Float64 | None = None) -> None:
-    """Draw the robot's trajectory by state, its pose and the newest scan."""
+    """Draw the robot's trajectory by state, its pose and the newest scan.
+
+    Stretches without poses are straight lines in the colour of their state.
+    """
     scene.clear("robot")
-    placed = [(m.T_map_base, m.state) for m in moments if m.T_map_base is not None]
-    if not placed:
+    known = [(k, m.T_map_base) for k, m in enumerate(moments) if m.T_map_base is not None]
+    if not known:
         return
-    lift = np.array([0.0, 0.0, _ABOVE_M])
-    path = scene.local(np.array([T[:3, 3] + lift for T, _ in placed]))
-    colours = np.array([rgb(_COLOURS.get(state, PATH)) for _, state in placed], np.uint8)
-    scene.points("robot", "/robot/path", path[:-1], colours[:-1], 0.5)
-    scene.points("robot", "/robot/now", path[-1:], colours[-1:], 1.5)
+    rows = [k for k, _ in known]
+    at = scene.local(np.array([T[:3, 3] for _, T in known]) + [0.0, 0.0, _ABOVE_M])
+    # Between two poses the state is that of the first scan after the earlier.
+    states = [moments[k + 1].state for k in rows[:-1]] + [moments[rows[-1]].state]
+    colours = np.array([rgb(COLOURS.get(state, PATH)) for state in states], np.uint8)
+    steps = np.stack([at[:-1], at[1:]], axis=1)
+    scene.lines("robot", "/robot/trajectory", steps, colours[:-1], 0.6)
+    now, state = known[-1][1], states[-1]
+    scene.arrows("robot", "/robot/now", [now], COLOURS.get(state, PATH), _ARROW_M)
     if points is not None:
         seen = np.tile(colours[-1], (len(points), 1))
         scene.points("robot", "/robot/cloud", scene.local(points), seen, 0.18)

@@ -6,6 +6,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import MissingDependency
 
@@ -22,6 +23,10 @@ PALETTE = (
     "#b08d1f", "#1fa3a8", "#d65fb2", "#7d8794", "#6b8e23",
 )  # fmt: skip
 """Colours of series."""
+VIOLET, MAGENTA = PALETTE[4], PALETTE[7]
+"""Runner-up, or lost; trajectory on a map coloured by height."""
+HEIGHTS = ("#41449c", "#3f86c8", "#5fbcc6", "#d8c98a")
+"""Ramp of heights, low to high; on white and on black, and none of the colours of outcomes."""
 TITLE_PT, TEXT_PT, SMALL_PT = 13.0, 9.0, 8.0
 
 _ROUND = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -32,6 +37,20 @@ _GOLDEN = 0.381966
 def rgb(colour: str) -> tuple[int, int, int]:
     """Convert a colour to three numbers from 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def by_height(z: Any) -> NDArray[np.uint8]:
+    """Return the colour of each height, (N, 3); the ramp spans the middle 96 %."""
+    low, high = np.percentile(z, [2, 98])
+    at = (len(HEIGHTS) - 1) * ((z - low) / max(float(high - low), 1e-6)).clip(0.0, 1.0)
+    stops = np.array([rgb(colour) for colour in HEIGHTS], np.float64).T
+    ramp = [np.interp(at, range(len(HEIGHTS)), channel) for channel in stops]
+    return np.stack(ramp, axis=1).astype(np.uint8)
+
+
+def round_length(limit_m: float) -> int:
+    """Return the longest round length of a scale bar below a limit [m], at least 1."""
+    return max((step for step in _ROUND if step <= limit_m), default=1)
 
 
 def hue(k: int) -> float:
@@ -127,7 +146,7 @@ def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
 def scale(axes: Axes) -> None:
     """Draw a scale bar of a round length at the lower left of a ground plan."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    length = max((step for step in _ROUND if step <= (right - left) / 5), default=1)
+    length = round_length((right - left) / 5)
     margin = 0.02 * max(right - left, high - low)
     x, y = left + margin, low + margin
     axes.plot([x, x + length], [y, y], color=DARK, lw=2.5, solid_capstyle="butt", zorder=9)

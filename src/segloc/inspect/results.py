@@ -19,7 +19,7 @@ from ..types import Float32, Int64, Pose
 from .trace import Trace, steps, summarize
 
 Parsed = TypeVar("Parsed")
-Outcome = Literal["found", "refused", "false"]
+Outcome = Literal["localized", "refused", "false"]
 DEBUG = "debug"
 """Subfolder of stored stages, one file per query."""
 _VOXEL_M = 0.3
@@ -48,7 +48,7 @@ class Shown:
     Attributes
     ----------
     index : int
-    outcome : "found", "refused" or "false"
+    outcome : "localized", "refused" or "false"
         "false" only if the truth is known.
     text : str
         Pose or reason, in one line.
@@ -63,6 +63,14 @@ class Shown:
     text: str
     T_map_sensor: Pose | None
     stages: Stages | None = None
+
+    @property
+    def T_map_best(self) -> Pose | None:
+        """Pose of the sensor, also a rejected one if it is stored."""
+        stages = self.stages
+        if self.T_map_sensor is not None or stages is None or stages.T_map_local is None:
+            return self.T_map_sensor
+        return stages.T_map_local @ stages.T_local_sensor
 
 
 def read_results(folder: Path) -> list[Shown]:
@@ -112,7 +120,7 @@ def _shown(record: Any) -> Shown:
     index, confidence = int(record["index"]), float(record["confidence"])
     T, message = pose_of(record["T_map_sensor"]), str(record["message"])
     correct = record.get("correct")
-    outcome: Outcome = "refused" if T is None else "false" if correct is False else "found"
+    outcome: Outcome = "refused" if T is None else "false" if correct is False else "localized"
     return Shown(index, outcome, f"{message or 'localized'} (confidence {confidence:.2f})", T)
 
 
@@ -128,6 +136,7 @@ class Stages:
     lines : tuple of str
         One line per stage, then one per part of the confidence.
     localized : bool
+    T_local_sensor : (4, 4) float64
     T_map_local : (4, 4) float64 or None
         The best pose, accepted or not.
     T_map_other : (4, 4) float64 or None
@@ -150,6 +159,7 @@ class Stages:
     summary: str
     lines: tuple[str, ...]
     localized: bool
+    T_local_sensor: Pose
     T_map_local: Pose | None
     T_map_other: Pose | None
     points: Float32
@@ -185,6 +195,7 @@ def stages_of(trace: Trace) -> Stages:
         summary=summarize(trace),
         lines=(*(f"{name}: {text}" for name, text in steps(trace)), *parts),
         localized=trace.result.localized,
+        T_local_sensor=trace.T_local_sensor,
         T_map_local=trace.T_map_local,
         T_map_other=None if other is None else other.T_map_sensor,
         points=trace.structure[keep],
@@ -213,6 +224,7 @@ def pack(query: Stages) -> bytes:
         "verdict": query.summary,
         "lines": query.lines,
         "localized": query.localized,
+        "T_local_sensor": query.T_local_sensor.tolist(),
         "T_map_local": None if query.T_map_local is None else query.T_map_local.tolist(),
         "T_map_other": None if query.T_map_other is None else query.T_map_other.tolist(),
     }
@@ -249,6 +261,7 @@ def unpack(data: bytes, where: str) -> Stages:
             summary=str(entries["verdict"]),
             lines=tuple(map(str, entries["lines"])),
             localized=bool(entries["localized"]),
+            T_local_sensor=np.array(entries["T_local_sensor"], np.float64).reshape(4, 4),
             T_map_local=pose_of(entries["T_map_local"]),
             T_map_other=pose_of(entries["T_map_other"]),
             on_map=_bits(arrays["on_map"], len(points["points"])),

@@ -422,6 +422,7 @@ RECORD = {
     "travelled_m": "distance by the odometry",
     "answered": "clock at the scan of the query that this state answers, or null",
     "latency_ms": "time from the arrival of that scan to this state",
+    "correct": "with `--truth`: whether the pose is within the tolerance; else null",
 }
 """Keys of a line of ``states.jsonl`` and their meaning."""
 

@@ -251,6 +251,18 @@ def pose_errors(replay: Replay, truths: Float64) -> tuple[Float64, Float64]:
     return metres, degrees
 
 
+def correct(
+    replay: Replay, truths: Float64 | None, tolerance_m: float, tolerance_deg: float
+) -> list[bool | None]:
+    """Return for each state whether its pose is within the tolerance; None if unknown."""
+    if truths is None:
+        return [None] * len(replay.positions)
+    errors = zip(*pose_errors(replay, truths), strict=True)
+    return [
+        None if np.isnan(m) else bool(m <= tolerance_m and d <= tolerance_deg) for m, d in errors
+    ]
+
+
 def summary(
     replay: Replay,
     truths: Float64 | None,
@@ -288,7 +300,8 @@ def summary(
     if truths is None:
         return facts
     metres, degrees = pose_errors(replay, truths)
-    false = (metres > tolerance_m) | (degrees > tolerance_deg)
+    fits = correct(replay, truths, tolerance_m, tolerance_deg)
+    false = np.array([each is False for each in fits], dtype=bool)
     sure = np.array([kind is Status.LOCALIZED for kind in kinds], dtype=bool)
     return facts | {
         "false_m": round(float(steps[false].sum()), 3),
