@@ -115,9 +115,15 @@ class MapScene:
         cloud = self._map.cloud
         return np.median(cloud, axis=0).astype(np.float64) if len(cloud) else np.zeros(3)
 
-    def in_view(self, *places: Float64) -> tuple[Float64, Float64]:
-        """Draw the scale for a view of places; return the camera's position and target."""
-        low, high = np.min(places, axis=0), np.max(places, axis=0)
+    def in_view(self, *places: Float32 | Float64) -> tuple[Float64, Float64]:
+        """Draw the scale for a view of places, or of the middle of the map; return the camera.
+
+        Returns
+        -------
+        position, target : (3,) float64
+        """
+        places = places or (self.middle(),)
+        low, high = np.min(places, axis=0), np.max(places, axis=0).astype(np.float64)
         middle, width = (low + high) / 2, max(_IN_VIEW_M, float(np.linalg.norm((high - low)[:2])))
         self._draw_scale(middle, width)
         return middle + width * np.array([0.0, -_BACK, _UP]), middle

@@ -124,7 +124,7 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
         scene = MapScene(server.scene, prior_map)
         legend = _legend(scene.draw_map(), queries)
         scene.draw_queries(queries)
-        _look_from(server, scene.in_view(*(scene.middle(query) for query in shown or [None])))
+        _look_from(server, scene.in_view(*map(scene.middle, shown)))
         recorded = server.get_scene_serializer()
         for query in shown:
             scene.draw_query(query)
@@ -154,7 +154,7 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
     if shown:
         _add_choice(server, scene, shown)
     else:
-        _look_from(server, scene.in_view(scene.middle()))
+        _look_from(server, scene.in_view())
     detailed = any(query.stages is not None for query in shown)
     _add_layers(server, scene, (*FIXED, *OF_QUERY[:-1]) if detailed else FIXED, legend)
     return server
@@ -227,8 +227,7 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
 
 def _look_at_robot(server: Any, scene: MapScene, moments: Sequence[Moment]) -> None:
     poses = [moment.T_map_base for moment in moments if moment.T_map_base is not None]
-    places = [scene.local(T[:3, 3]) for T in poses] or [scene.middle()]
-    _look_from(server, scene.in_view(*places))
+    _look_from(server, scene.in_view(*(scene.local(T[:3, 3]) for T in poses)))
 
 
 def _look_from(server: Any, view: tuple[Float64, Float64]) -> None:
