@@ -189,10 +189,11 @@ class MapScene:
     def points(self, layer: str, name: str, points: Float32, colors: Colors, size: float) -> None:
         """Add points (N, 3) in the scene's frame to a layer."""
         if len(points):
-            # Half floats would be half a metre off at a distance of one kilometre.
-            handle = self._api.add_point_cloud(
-                name, points, colors, point_size=size, point_shading="flat", precision="float32"
-            )
+            # In random order, so that any part is a thinned cloud. Half floats would be half a
+            # metre off at a distance of one kilometre.
+            mixed = np.random.default_rng(0).permutation(len(points))
+            style = {"point_size": size, "point_shading": "flat", "precision": "float32"}
+            handle = self._api.add_point_cloud(name, points[mixed], colors[mixed], **style)
             self._keep(layer, handle)
 
     def lines(

@@ -114,6 +114,53 @@ _PANEL = Template("""
 """)
 
 
+# Points need no anti-aliasing. Without it 200 000 points are drawn two to three times as fast by a
+# processor.
+_SHARP = """
+(() => {
+  const get = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    const sharp = /webgl/.test(kind) ? { ...(options || {}), antialias: false } : options;
+    return get.call(this, kind, sharp);
+  };
+})();
+"""
+
+# While the view moves, draw as many points as time allows, then all of them. A fence measures the
+# time, so a GPU always draws all. Points come in random order, so any part is a thinned cloud.
+_THINNED = """
+(() => {
+  if (window.thinsWhatMoves) return;
+  window.thinsWhatMoves = true;
+  const TARGET_MS = 100, FEWEST = 15000, SETTLES_MS = 400, POLL_MS = 8;
+  let held = false, until = 0, costOfPoint = 0, fence = null;
+  const still = () => { held = false; until = performance.now() + SETTLES_MS; };
+  addEventListener("pointerdown", (e) => { held = e.target.tagName === "CANVAS"; }, true);
+  for (const name of ["pointerup", "pointercancel", "blur"]) addEventListener(name, still, true);
+  addEventListener("wheel", still, { capture: true, passive: true });
+  const learn = (gl, points, begun) => setTimeout(() => {
+    if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return learn(gl, points, begun);
+    gl.deleteSync(fence);
+    fence = null;
+    const cost = (performance.now() - begun) / points;
+    costOfPoint = costOfPoint ? (costOfPoint + cost) / 2 : cost;
+  }, POLL_MS);
+  const draw = WebGL2RenderingContext.prototype.drawArrays;
+  WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
+    if (mode !== this.POINTS || count <= FEWEST) return draw.call(this, mode, first, count);
+    const moves = held || performance.now() < until;
+    const inTime = Math.max(FEWEST, Math.floor(TARGET_MS / (costOfPoint || 1e-9)));
+    const drawn = moves ? Math.min(count, inTime) : count;
+    draw.call(this, mode, first, drawn);
+    if (fence) return;
+    fence = this.fenceSync(this.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.flush();
+    learn(this, drawn, performance.now());
+  };
+})();
+"""
+
+
 def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
     """Return one self-contained page: the map with all queries, and a slider for details.
 
@@ -365,7 +412,7 @@ def _server(port: int) -> Any:
     with suppress(ImportError, AttributeError):  # not in all of its versions
         from viser._messages import RunJavascriptMessage
 
-        server.gui._websock_interface.queue_message(RunJavascriptMessage(source=_OPENED))
+        server.gui._websock_interface.queue_message(RunJavascriptMessage(source=_OPENED + _THINNED))
     return server
 
 
@@ -401,6 +448,7 @@ def _panel(queries: Sequence[Shown], legend: Sequence[tuple[str, str]]) -> str:
 def _with(page: str, panel: str) -> str:
     """Add a panel to a page of viser's player, with the title and the reader's theme."""
     page = page.replace("<title>Viser</title>", "<title>segloc</title>", 1)
+    page = page.replace("<head>", f"<head><script>{_SHARP}{_THINNED}</script>", 1)
     page = page.replace("{darkMode:false}", f"{{darkMode:{_DARK}}}", 1)
     head, end, tail = page.rpartition("</body>")
     return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"
