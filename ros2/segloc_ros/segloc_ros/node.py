@@ -111,12 +111,12 @@ class SeglocNode(LifecycleNode):
                 self._tf = TfPort(self, self._on_tf)
             except ImportError:
                 self._without_tf(settings)
+            self.robot = Robot(settings)
+            maps = MapFile(settings.map, settings.threads)
         except REFUSALS as error:
             self.get_logger().error(one_line(error))
             self._tear_down()
             return TransitionCallbackReturn.FAILURE
-        self.robot = Robot(settings)
-        maps = MapFile(settings.map, settings.threads)
         self.pump = Pump(
             self.robot, maps, self._publish, self._outputs.show_map, self._warn,
             clouds=settings.points_depth * (1 + len(settings.more_points_topics)),
@@ -129,7 +129,15 @@ class SeglocNode(LifecycleNode):
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        settings = self.settings()
+        try:
+            self._subscribe(self.settings())
+        except REFUSALS as error:
+            self.get_logger().error(one_line(error))
+            self.on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
+        return super().on_activate(state)
+
+    def _subscribe(self, settings: Settings) -> None:
         reliability = ReliabilityPolicy.BEST_EFFORT
         if settings.points_reliable:
             reliability = ReliabilityPolicy.RELIABLE
@@ -144,15 +152,9 @@ class SeglocNode(LifecycleNode):
         ]
         if settings.odometry == "topic":
             wanted.append((Odometry, settings.odom_topic, self._on_odometry, fast))
-        try:
-            for kind, topic, heard, qos in wanted:
-                if topic:
-                    self._inputs.append(self.create_subscription(kind, topic, heard, qos))
-        except REFUSALS as error:
-            self.get_logger().error(one_line(error))
-            self.on_deactivate(state)
-            return TransitionCallbackReturn.FAILURE
-        return super().on_activate(state)
+        for kind, topic, heard, qos in wanted:
+            if topic:
+                self._inputs.append(self.create_subscription(kind, topic, heard, qos))
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         for subscription in self._inputs:
