@@ -144,7 +144,7 @@ def _axes(clouds: list[Float32], seen: Sequence[Surfaces]) -> Finding | None:
         return _beams_about(clouds)
     if side[0] != 2 and sum(map(turns_about_z, clouds)) > len(clouds) / 2:
         return None  # a level sensor beside a wall
-    if side == UP and any(looks_up(points) for points in clouds):
+    if side == UP and (all(each.is_room() for each in seen) or any(map(looks_up, clouds))):
         return _CEILING
     return _turned(side)
 

@@ -26,6 +26,7 @@ the opposite side, and of a ground on a side above and below."""
 LOW_M = 3.5
 """Maximum height of vehicles and hands above ground [m]; ceilings may be higher."""
 _UNDER_M, _MAX_UNDER = 0.5, 0.25  # points further down than the ground, and their maximum share
+_MIN_TALL, _ROOM_M = 0.01, 18.0  # share of things that no room holds; range within a room
 _OVERHEAD, _MAX_OVERHEAD = 0.87, 0.01  # cosine of 30 degrees; share of points of an open sky
 _MIN_IN_PLANE, _THICK_M = 0.9, 0.3  # of a cloud that is one plane
 _STEEP_DEG = 35.0
@@ -88,6 +89,15 @@ class Surfaces:
         """Return whether hardly anything lies further in a direction than a surface there."""
         off = self.seen[:, axis] * _SIGNS[side]
         return bool((off > metres + _UNDER_M).mean() < _MAX_UNDER)
+
+    def is_room(self) -> bool:
+        """Return whether a room of which the ceiling alone is in view would look like this.
+
+        Beams that open little meet a low ceiling before the floor, unless the room is wide.
+        """
+        low = (np.abs(self.seen[:, 2]) > LOW_M).mean() < _MIN_TALL
+        reach_m = np.percentile(np.hypot(self.seen[:, 0], self.seen[:, 1]), 90)
+        return bool(low and reach_m < _ROOM_M)
 
     def is_open(self, axis: int, side: int) -> bool:
         """Return whether hardly anything lies in a direction, to 30 degrees."""
@@ -156,7 +166,9 @@ GRAVITY_REMEDY = "`gravity` points down (an accelerometer at rest measures up), 
 def is_upside_down(points: Float32) -> bool:
     """Return whether the ground of points (N, 3) around a sensor surely lies towards +z."""
     seen = Surfaces.of(points)
-    return seen is not None and ground_side([seen]) == UP and not looks_up(points)
+    if seen is None or ground_side([seen]) != UP:
+        return False
+    return not (seen.is_room() or looks_up(points))
 
 
 def shows_ground(clouds: Sequence[Float32]) -> bool | None:
