@@ -9,8 +9,8 @@ import pytest
 from segloc_lab.bench import harness
 from segloc_lab.city import widened
 
-from segloc import Config, Localizer, Scan, build_map
-from segloc.tiles import TiledMap, cut_tiles
+from segloc import Config, Scan, build_map
+from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
 
 TIMES = 3
 
@@ -32,6 +32,6 @@ def test_queries_are_found_among_copies(walk: harness.PlazaWalk, tiles: Path) ->
     assert widened(tiles, tiles.parent / "wide", TIMES) == TIMES * len(thin)
     wide = TiledMap(tiles.parent / "wide")
     assert len(wide.coarse()) == TIMES * len(thin)
-    found = Localizer(wide, Config(threads=1)).localize(Scan(walk.scan(3).points))
+    found = TiledLocalizer(wide, Config(threads=1)).localize(Scan(walk.scan(3).points))
     assert found.T_map_sensor is not None
     assert np.linalg.norm(found.T_map_sensor[:3, 3] - walk.poses[3, :3, 3]) < 0.3

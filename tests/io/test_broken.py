@@ -104,8 +104,9 @@ def test_commands_refuse_truncated_clouds(
     data = (path / name).read_bytes() if name in GLIM else made.get(name, lambda: SAMPLES[name])()
     (tmp_path / name).write_bytes(data[: len(data) // 2 - 1])
     assert run("map", "from-cloud", path, "--out", tmp_path / "m.segmap") == 1
-    (line,) = capsys.readouterr().err.strip().splitlines()
+    *notes, line = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("segloc: error: ")
+    assert all(each.startswith("segloc: note: ") for each in notes)
     assert str(path) in line or name in HEADERLESS
     assert run("doctor", path) == (name not in HEADERLESS or name.endswith(".bin"))
 

@@ -63,7 +63,8 @@ def furnish(root: Path) -> Path:
     timed = Trajectory(10.25 + np.arange(SCANS), first.poses)
     for name in ("monday", "tuesday", "thursday", "truth"):
         write_tum(root / f"{name}.tum", timed)
-    write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), first.poses))
+    saturday = walk(-6.0 + 0.2 * FOLDERS.index("saturday"))
+    write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), saturday.poses))
     write_scan(root / "scan.pcd", points_of(first, 4))
     write_scan(root / "cloud.pcd", Plaza(1, objects=90).points)
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
