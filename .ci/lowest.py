@@ -16,7 +16,7 @@ else:
     from pip._vendor import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.,-]+)\])?\s*>=\s*([\w.]+)")
+REQUIREMENT = re.compile(r"([\w.-]+)(?:\[([\w.,-]+)\])?\s*>=\s*([\w.]+)(?:,<[\w.]+)?")
 
 
 def lowest(extras: list[str]) -> dict[str, str]:
