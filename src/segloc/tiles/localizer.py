@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -87,11 +88,11 @@ class TiledLocalizer(Localizer):
             seed=config.seed,
         )
         self._settings = config.to_yaml()
-        self._rebuild = tiles, config, estimator, clock
+        self._reopen = partial(TiledLocalizer, tiles, config, estimator=estimator, clock=clock)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the location and the configuration; unpickling opens the tiles again."""
-        return _restored, self._rebuild
+        return self._reopen, ()
 
     def search(
         self,
@@ -271,9 +272,3 @@ def localizer_in(prior_map: SegmentMap | TiledMap, config: Config | None = None)
     if isinstance(prior_map, TiledMap):
         return TiledLocalizer(prior_map, config)
     return Localizer(prior_map, config)
-
-
-def _restored(
-    tiles: TiledMap, config: Config, estimator: Estimator | None, clock: Clock
-) -> TiledLocalizer:
-    return TiledLocalizer(tiles, config, estimator=estimator, clock=clock)
