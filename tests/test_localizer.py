@@ -216,9 +216,10 @@ def test_a_query_is_configured_as_the_map_was_built(plaza: Plaza) -> None:
     assert Localizer(build_map(PlazaSequence(plaza, steps=3), GEO)).notes == ()
 
 
-def test_the_configuration_of_a_method_that_is_not_installed_is_read() -> None:
+def test_the_configuration_of_another_version_or_a_method_not_installed_is_read() -> None:
     prior_map = SegmentMap.empty("elsewhere", "f" * 16, 3, np.zeros(3))
-    prior_map.metadata["config"] = "method: elsewhere\nmapping: {cloud_voxel: 0.7}\n"
+    gone = "mapping: {cloud_voxel: 0.7, gone: 1}\nverification: {refined_from: 0.9}\nstems: {}\n"
+    prior_map.metadata["config"] = f"method: elsewhere\n{gone}"
     assert map_config(prior_map).mapping.cloud_voxel == 0.7
 
 
@@ -265,7 +266,7 @@ class Given:
 
 
 @pytest.mark.parametrize("name", ["proposers", "estimator"])
-@pytest.mark.parametrize("shift_m", [0.0, 15.0])
+@pytest.mark.parametrize("shift_m", [0.0, 40.0])
 def test_poses_of_a_proposer_or_estimator_of_ones_own_are_verified(
     plaza: Plaza, prior_map: SegmentMap, name: str, shift_m: float
 ) -> None:
@@ -312,3 +313,15 @@ def test_every_stage_has_its_own_time(plaza: Plaza, prior_map: SegmentMap) -> No
     stages = ["gathering", "segmentation", "preprocessing", "descriptor", "matching", "pruning"]
     assert list(times) == [*stages, "pose", "verification", "total"]
     assert times["gathering"] == 1000.0 and times["total"] == 8000.0
+
+
+def test_a_view_that_fixes_no_place_says_so(prior_map: SegmentMap) -> None:
+    """A wall, and a corridor's two, slide along themselves; a corner does not."""
+    rng, count = np.random.default_rng(0), 4000
+    along, up = rng.uniform(-6, 6, count), rng.uniform(-1.0, 1.5, count)
+    wall = np.column_stack([np.full(count, 2.0), along, up]) + rng.normal(0, 0.01, (count, 3))
+    opposite, across = wall * (-1, 1, 1), wall[:, [1, 0, 2]]
+    localizer = Localizer(prior_map)
+    for views, slides in (([wall], True), ([wall, opposite], True), ([wall, across], False)):
+        found = localizer.localize(np.float32(np.concatenate(views)))
+        assert not found.localized and (found.reason is Reason.TOO_LITTLE_IN_VIEW) == slides

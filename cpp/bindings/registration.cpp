@@ -60,18 +60,33 @@ auto normals_(const In2<float>& points, double max_correspondence_distance, doub
   return to_numpy(std::move(values), {n, 3});
 }
 
-// Counts among at most `most` source points, evenly spread.
+std::size_t step_of(const Surface& surface, std::size_t most) {
+  require(most > 0, "most must be positive");
+  return std::max<std::size_t>(1, (surface.size() + most - 1) / most);
+}
+
+// At most `most` points, evenly spread.
+auto sampled_(const Surface& surface, std::size_t most) {
+  std::vector<float> points;
+  for (const std::uint32_t i : every(surface, step_of(surface, most))) {
+    const PointGrid::Point p = surface.grid()[i];
+    points.insert(points.end(), p.begin(), p.end());
+  }
+  const std::size_t rows = points.size() / 3;
+  return to_numpy(std::move(points), {rows, 3});
+}
+
+// Codes of the points of `sampled`.
 auto on_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
                double least_slope, double most_slope, double tolerance, std::size_t most) {
   const Rigid T = rigid_of(T_target_source, "T_target_source");
-  require(most > 0, "most must be positive");
-  const std::size_t step = std::max<std::size_t>(1, (source.size() + most - 1) / most);
-  OnPlane count{};
+  const std::size_t step = step_of(source, most);
+  std::vector<std::uint8_t> codes;
   {
     nb::gil_scoped_release release;
-    count = on_plane(target, source, T, step, {least_slope, most_slope}, tolerance);
+    codes = on_plane(target, source, T, step, {least_slope, most_slope}, tolerance);
   }
-  return std::make_tuple(count.hits, count.of);
+  return to_numpy(std::move(codes));
 }
 
 }  // namespace
@@ -92,6 +107,7 @@ void bind_registration(nb::module_& m) {
           nb::arg("points").noconvert(), nb::arg("max_correspondence_distance"), nb::arg("support"),
           nb::arg("tiled") = false)
       .def("__len__", &Surface::size)
+      .def("sampled", &sampled_, nb::arg("most"))
       .def("on_plane", &on_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("tolerance"), nb::arg("most"))
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),

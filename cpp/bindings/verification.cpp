@@ -3,7 +3,7 @@
 
 #include "bindings/bindings.h"
 #include "likelihood/correlation.h"
-#include "likelihood/intrusion.h"
+#include "likelihood/known_space.h"
 #include "likelihood/point_index.h"
 #include "likelihood/visibility.h"
 
@@ -77,24 +77,18 @@ auto correlate_(const PointIndex& index, const In2<float>& points, const In2<dou
                          to_numpy(std::move(found.used)));
 }
 
-auto intrusion_(const PointIndex& index, const In2<float>& points, const In2<double>& T_map_local,
-                const In2<double>& viewpoints, double range, double bin_deg, double radius,
-                double margin, double half_width) {
+auto codes_(const KnownSpace& known, const In2<float>& points, const In2<double>& T_map_local,
+            double radius) {
   require_points(points);
   require_transform(T_map_local, "T_map_local");
-  require(viewpoints.shape(1) == 3, "viewpoints must have shape (V, 3)");
-  require_between(range, kShortest, 1000.0, "range");
-  require_between(bin_deg, 0.1, 10.0, "bin_deg");
-  require_between(radius, kShortest, index.radius(), "radius");
-  require_between(margin, 0.0, kLongest, "margin");
-  require_between(half_width, 0.0, 1.0, "half_width");
-  nb::gil_scoped_release release;
-  require_usable(points.data(), points.size(), "points");
-  require_usable(viewpoints.data(), viewpoints.size(), "viewpoints");
-  const Intrusion found =
-      intrusion(index, points.data(), points.shape(0), T_map_local.data(), viewpoints.data(),
-                viewpoints.shape(0), {range, bin_deg, radius, margin, half_width});
-  return std::make_tuple(found.used, found.intruding);
+  require_between(radius, kShortest, known.radius(), "radius");
+  std::vector<std::uint8_t> codes;
+  {
+    nb::gil_scoped_release release;
+    require_usable(points.data(), points.size(), "points");
+    codes = known.codes(points.data(), points.shape(0), T_map_local.data(), radius);
+  }
+  return to_numpy(std::move(codes));
 }
 
 auto count_visible(const VisibilityCheck& check, const In2<float>& map,
@@ -151,9 +145,6 @@ void bind_verification(nb::module_& m) {
       .def("correlate", &correlate_, nb::arg("points").noconvert(),
            nb::arg("T_map_local").noconvert(), nb::arg("headings"), nb::arg("cell"),
            nb::arg("half_width"), nb::arg("range"))
-      .def("intrusion", &intrusion_, nb::arg("points").noconvert(),
-           nb::arg("T_map_local").noconvert(), nb::arg("viewpoints").noconvert(), nb::arg("range"),
-           nb::arg("bin_deg"), nb::arg("radius"), nb::arg("margin"), nb::arg("half_width"))
       .def(
           "sample",
           [](const PointIndex& index, double x, double y, double radius, std::size_t count,
@@ -170,6 +161,25 @@ void bind_verification(nb::module_& m) {
           nb::arg("x"), nb::arg("y"), nb::arg("radius"), nb::arg("count"),
           nb::arg("low") = -std::numeric_limits<double>::infinity(),
           nb::arg("high") = std::numeric_limits<double>::infinity());
+
+  nb::class_<KnownSpace>(m, "KnownSpace")
+      .def(
+          "__init__",
+          [](KnownSpace* self, const PointIndex& index, const In2<double>& viewpoints, double range,
+             double bin_deg, double margin) {
+            require(viewpoints.shape(1) == 3, "viewpoints must have shape (V, 3)");
+            require_usable(viewpoints.data(), viewpoints.size(), "viewpoints");
+            KnownSpaceOptions options;
+            options.range = range, options.bin_deg = bin_deg, options.margin = margin;
+            require_between(range, kShortest, 1000.0, "range");
+            require_between(bin_deg, 0.1, 10.0, "bin_deg");
+            require_between(margin, 0.0, kLongest, "margin");
+            new (self) KnownSpace(index, viewpoints.data(), viewpoints.shape(0), options);
+          },
+          nb::arg("index"), nb::arg("viewpoints").noconvert(), nb::arg("range"),
+          nb::arg("bin_deg"), nb::arg("margin"), nb::keep_alive<1, 2>())
+      .def("codes", &codes_, nb::arg("points").noconvert(), nb::arg("T_map_local").noconvert(),
+           nb::arg("radius"));
 }
 
 }  // namespace segloc::bindings

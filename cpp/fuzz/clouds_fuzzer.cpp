@@ -10,7 +10,7 @@
 #include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
-#include "likelihood/intrusion.h"
+#include "likelihood/known_space.h"
 #include "likelihood/point_index.h"
 
 namespace {
@@ -58,9 +58,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     const double T[16] = {0, -1, 0, 3, 1, 0, 0, -2, 0, 0, 1, 1e14, 0, 0, 0, 1};
     index.overlap(points.data(), n, T, length);
     const double views[6] = {0, 0, 0, 3, 4, -1e14};
-    segloc::IntrusionOptions options;
-    options.radius = length;
-    segloc::intrusion(index, points.data(), n, T, views, 2, options);
+    const segloc::KnownSpace known(index, views, 2, {});
+    known.codes(points.data(), n, T, length);
     if (n > 0) require_finite(index.sample({points[0], points[1], length}, 5));
   });
   // A grid of millions of cells is allowed, and slow: only narrow clouds go on.

@@ -83,15 +83,13 @@ PointIndex::Overlap PointIndex::overlap(const float* points, std::size_t m, cons
   return result;
 }
 
-void PointIndex::remove_near(std::vector<float>& places, double radius) const {
+std::vector<bool> PointIndex::is_near(const std::vector<float>& places, double radius) const {
   const auto limit = static_cast<float>(radius * radius);
   std::vector<float> squared(places.size() / 3);
   grid_.nearest_squared(places.data(), squared.size(), limit, limit, squared.data());
-  std::size_t left = 0;
-  for (std::size_t i = 0; i < squared.size(); ++i) {
-    if (squared[i] > limit) std::copy_n(&places[3 * i], 3, &places[3 * left++]);
-  }
-  places.resize(3 * left);
+  std::vector<bool> near(squared.size());
+  for (std::size_t i = 0; i < squared.size(); ++i) near[i] = squared[i] <= limit;
+  return near;
 }
 
 // What the nearest and the farthest place of a block are decides for all in it: no point is rounded

@@ -49,9 +49,8 @@ class PointIndex {
     each(parts(column), column, 1, visit);
   }
 
-  // Removes the places, x, y, z each, with a point within a radius, no larger than that of the
-  // index.
-  void remove_near(std::vector<float>& places, double radius) const;
+  // Which places, x, y, z each, have a point within a radius, no larger than that of the index.
+  std::vector<bool> is_near(const std::vector<float>& places, double radius) const;
   // Whether there are any points around, at any height.
   bool is_mapped(float x, float y) const { return height_.is_mapped(x, y); }
 

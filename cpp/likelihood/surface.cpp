@@ -93,14 +93,21 @@ std::vector<Surface::Normal> Surface::normals(const std::vector<std::uint32_t>& 
   return found;
 }
 
-OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, std::size_t step,
-                 const Slope& slope, double tolerance) {
-  const auto known = [](const Surface::Normal& n) { return n[0] != 0 || n[1] != 0 || n[2] != 0; };
+std::vector<std::uint32_t> every(const Surface& surface, std::size_t step) {
   std::vector<std::uint32_t> sampled;
-  for (std::size_t i = 0; i < source.size(); i += step) {
+  for (std::size_t i = 0; i < surface.size(); i += step) {
     sampled.push_back(static_cast<std::uint32_t>(i));
   }
+  return sampled;
+}
+
+std::vector<std::uint8_t> on_plane(const Surface& target, const Surface& source, const Rigid& T,
+                                   std::size_t step, const Slope& slope, double tolerance) {
+  const auto known = [](const Surface::Normal& n) { return n[0] != 0 || n[1] != 0 || n[2] != 0; };
+  const std::vector<std::uint32_t> sampled = every(source, step);
   const std::vector<Surface::Normal> own = source.normals(sampled);
+  std::vector<std::uint8_t> codes(sampled.size(), std::uint8_t(OnPlane::kOther));
+  std::vector<std::size_t> sloping;
   std::vector<std::array<double, 3>> moved;
   std::vector<float> places;
   for (std::size_t k = 0; k < sampled.size(); ++k) {
@@ -109,6 +116,8 @@ OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, s
     if (!known(n) || !(up > slope.least && up < slope.most)) continue;
     const PointGrid::Point s = source.grid()[sampled[k]];
     const double p[3] = {s[0], s[1], s[2]};
+    codes[k] = std::uint8_t(OnPlane::kAlone);
+    sloping.push_back(k);
     moved.push_back(T.apply(p));
     for (const double v : moved.back()) places.push_back(static_cast<float>(v));
   }
@@ -117,20 +126,20 @@ OnPlane on_plane(const Surface& target, const Surface& source, const Rigid& T, s
   for (std::size_t k = 0; k < nearest.size(); ++k) {
     if (nearest[k].point == kNoPoint) continue;
     moved[targets.size()] = moved[k];
+    sloping[targets.size()] = sloping[k];
     targets.push_back(nearest[k].point);
   }
   const std::vector<Surface::Normal> normals = target.normals(targets);
-  OnPlane count{0, 0};
   for (std::size_t k = 0; k < targets.size(); ++k) {
     const Surface::Normal& n = normals[k];
     if (!known(n)) continue;
     const PointGrid::Point t = target.grid()[targets[k]];
     const std::array<double, 3>& p = moved[k];
     const double off = n[0] * (p[0] - t[0]) + n[1] * (p[1] - t[1]) + n[2] * (p[2] - t[2]);
-    ++count.of;
-    count.hits += std::abs(off) < tolerance;
+    const bool on = std::abs(off) < tolerance;
+    codes[sloping[k]] = std::uint8_t(on ? OnPlane::kOn : OnPlane::kOff);
   }
-  return count;
+  return codes;
 }
 
 }  // namespace segloc

@@ -2,6 +2,7 @@
 // violate the free space that the scan has measured.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <utility>
@@ -44,6 +45,10 @@ class FreeSpace {
   // Whether something is measured in a point's direction, and all that is there and about it lies
   // more than `margin` metres, and more than a share of the range, behind the point.
   bool holds(const float* point, double range, double margin) const;
+  // Whether what is measured in a point's direction lies within `margin` metres of it.
+  bool ends_at(const float* point, double range, double margin) const {
+    return std::abs(image_[image_.at(point)] - range) <= margin;
+  }
 
  private:
   RangeImage image_, least_;

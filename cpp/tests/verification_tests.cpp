@@ -4,7 +4,7 @@
 #include <cstdint>
 
 #include "likelihood/correlation.h"
-#include "likelihood/intrusion.h"
+#include "likelihood/known_space.h"
 #include "likelihood/point_index.h"
 #include "likelihood/visibility.h"
 #include "tests/check.h"
@@ -62,21 +62,26 @@ void visibility() {
   }
 }
 
-void intruding() {
+void known_space() {
   const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
   const double views[6] = {0, 0, 0, 3, -2, 1};
+  const auto number = [](const std::vector<std::uint8_t>& codes, Known code) {
+    return std::size_t(std::count(codes.begin(), codes.end(), std::uint8_t(code)));
+  };
   for (const std::size_t n : kSizes) {
     const auto points = random_floats(3 * n, -20.0f, 20.0f, 4);
     const PointIndex index(points.data(), n, 0.5);
-    const Intrusion own = intrusion(index, points.data(), n, identity, views, 2, {});
-    CHECK(own.intruding == 0 && own.used <= n);
+    const KnownSpace known(index, views, 2, {});
+    CHECK(number(known.codes(points.data(), n, identity, 0.5), Known::kHit) == n);
     const double away[16] = {1, 0, 0, 1e9, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-    CHECK(intrusion(index, points.data(), n, away, views, 2, {}).intruding == 0);
+    CHECK(number(known.codes(points.data(), n, away, 0.5), Known::kUnknown) == n);
     const auto others = random_floats(3 * n, -5.0f, 5.0f, 5);
-    const Intrusion found = intrusion(index, others.data(), n, identity, views, 2, {});
-    CHECK(found.used == n);
-    CHECK(found.intruding >= intrusion(index, others.data(), n, identity, views, 1, {}).intruding);
-    CHECK(intrusion(index, others.data(), n, identity, views, 0, {}).intruding == 0);
+    const auto two = known.codes(others.data(), n, identity, 0.5);
+    const auto one = KnownSpace(index, views, 1, {}).codes(others.data(), n, identity, 0.5);
+    const auto none = KnownSpace(index, views, 0, {}).codes(others.data(), n, identity, 0.5);
+    CHECK(two.size() == n && two == known.codes(others.data(), n, identity, 0.5));
+    CHECK(number(two, Known::kThrough) >= number(one, Known::kThrough));
+    CHECK(number(none, Known::kThrough) == 0 && number(none, Known::kMissed) == 0);
   }
 }
 
@@ -111,6 +116,6 @@ void verification_tests() {
   segloc::point_index();
   for (const segloc::Isa isa : instruction_sets()) segloc::pixels_agree(isa);
   segloc::visibility();
-  segloc::intruding();
+  segloc::known_space();
   segloc::correlation();
 }

@@ -7,8 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segloc_lab.calibration.posterior import FEATURES, KEPT, Decisions, Records, fit, records_of
-from segloc_lab.calibration.rows import Rows
+from segloc_lab.calibration.posterior import (
+    FEATURES,
+    KEPT,
+    Decisions,
+    Records,
+    fit,
+    fitted,
+    records_of,
+)
+from segloc_lab.calibration.rows import ALIGNED, ROUGH, Rows
 from segloc_lab.calibration.worlds import (
     MAX_THINNED,
     QuerySet,
@@ -27,8 +35,10 @@ from segloc.likelihood import shipped_model
 
 
 def test_the_shipped_weights_are_those_of_the_kept_rows() -> None:
-    found, model = fit(records_of(Rows.load(KEPT))), shipped_model()
+    (_, found, promised), model = fitted(records_of(Rows.load(KEPT))), shipped_model()
     assert np.allclose(found, [*(model.weights[n] for n in FEATURES), model.none], atol=0.02)
+    assert np.allclose(promised["rough"].weights, model.rough.weights, atol=0.02)
+    assert np.allclose(promised["aligned"].weights, model.aligned.weights, atol=0.02)
 
 
 def test_queries_are_made_again(tmp_path: Path) -> None:
@@ -61,7 +71,8 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
     right = drawn[:, None] == np.arange(3)
     poses, names = np.ones_like(right), np.full(len(right), "town")
     number = np.zeros(len(right), np.int64)
-    records = Records(features, poses, right, ~right, number, names, names)
+    before = rng.normal(size=(*right.shape, len(ROUGH + ALIGNED)))
+    records = Records(features, before, poses, right, ~right, number, names, names)
     found = fit(records)
     assert np.allclose(found, weights, atol=0.1)
     decisions = Decisions.by(records, found)

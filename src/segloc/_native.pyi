@@ -152,6 +152,7 @@ class Surface:
         tiled: bool = False,
     ) -> None: ...
     def __len__(self) -> int: ...
+    def sampled(self, most: int) -> NDArray[np.float32]: ...
     def on_plane(
         self,
         source: Surface,
@@ -160,7 +161,7 @@ class Surface:
         most_slope: float,
         tolerance: float,
         most: int,
-    ) -> tuple[int, int]: ...
+    ) -> NDArray[np.uint8]: ...
     def align(
         self,
         source: Surface,
@@ -196,17 +197,6 @@ class PointIndex:
         half_width: float,
         range: float,
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]: ...
-    def intrusion(
-        self,
-        points: NDArray[np.float32],
-        T_map_local: NDArray[np.float64],
-        viewpoints: NDArray[np.float64],
-        range: float,
-        bin_deg: float,
-        radius: float,
-        margin: float,
-        half_width: float,
-    ) -> tuple[int, int]: ...
     def sample(
         self,
         x: float,
@@ -216,6 +206,19 @@ class PointIndex:
         low: float = ...,
         high: float = ...,
     ) -> NDArray[np.float32]: ...
+
+class KnownSpace:
+    def __init__(
+        self,
+        index: PointIndex,
+        viewpoints: NDArray[np.float64],
+        range: float,
+        bin_deg: float,
+        margin: float,
+    ) -> None: ...
+    def codes(
+        self, points: NDArray[np.float32], T_map_local: NDArray[np.float64], radius: float
+    ) -> NDArray[np.uint8]: ...
 
 class PoseSearch:
     def __init__(

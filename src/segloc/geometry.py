@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from .system.section import Section
-from .types import Pose
+from .types import Float64, Pose
 
 FLAT_M = 0.005
 """Largest standard deviation of points from their plane [m]."""
@@ -190,6 +190,18 @@ class Separation(Section):
         along, across, up = (a[0] * dx + a[1] * dy + a[2] * dz for a in (ax, ay, az))
         turned = abs(math.atan2(left, forward)) > math.radians(self.degrees)
         return turned or math.hypot(along, across) > self.metres or abs(up) > self.height
+
+    def apart_from(self, T_a: Float64, T_b: Float64) -> NDArray[np.bool_]:
+        """Return which poses of two stacks, (N, 4, 4) and (M, 4, 4), are at different places,
+        (N, M)."""
+        axes, ends = T_b[:, :3, :3], T_b[:, :3, 3]
+        ahead = np.einsum("mji,nj->nmi", axes, T_a[:, :3, 0])
+        off = np.einsum("mji,nj->nmi", axes, T_a[:, :3, 3])
+        off -= np.einsum("mji,mj->mi", axes, ends)
+        turned = np.abs(np.arctan2(ahead[..., 1], ahead[..., 0])) > math.radians(self.degrees)
+        far = np.hypot(off[..., 0], off[..., 1]) > self.metres
+        apart: NDArray[np.bool_] = turned | far | (np.abs(off[..., 2]) > self.height)
+        return apart
 
 
 def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArray[np.float64]:

@@ -79,6 +79,11 @@ class Reason(Explained):
         "two places look alike, such as corridors or rows of equal pillars",
         "drive on with a tracker, or pass a prior",
     )
+    TOO_LITTLE_IN_VIEW = (
+        "too little in view",
+        "a wall or a piece of corridor: nothing fixes the position along it",
+        "turn or drive on, or accumulate scans (`--odometry --every 5`)",
+    )
     NOT_IN_MAP = (
         "not in the map",
         "nothing in the map fits: the scan is from another place, or sees too little",

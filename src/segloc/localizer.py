@@ -12,7 +12,7 @@ from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
-from .likelihood import Likelihood, Scorer
+from .likelihood import Likelihood
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer
@@ -211,17 +211,18 @@ class Localizer:
         scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
         min_confidence = self.config.verification.min_confidence
         found: Search | None = None
-        for proposed in self._proposals(query, scorer, times, deadline_ms, near):
-            if not proposed.suffices:
+        for proposed in self._proposals(query, times, deadline_ms, near):
+            if not proposed.last and (thorough or not scorer.segments_suffice(proposed.candidates)):
                 continue
             with times("verification"):
-                posterior = scorer.fit(proposed.candidates, proposed.inliers, thorough=thorough)
+                scorer.add(proposed.candidates, proposed.inliers, complete=proposed.last)
+                posterior = scorer.measure(thorough=thorough)
             found = Search.of(
-                self.prior_map, proposed, posterior, scorer.fits, min_confidence, near
+                self.prior_map, proposed, posterior, scorer.places, min_confidence, near
             )
             if found.reason is None and not thorough:
                 return found
-        assert found is not None  # the last proposals always suffice
+        assert found is not None  # the last proposals are always measured
         if near and near.anywhere:
             return self.search(query, times, deadline_ms, thorough=thorough)
         return found
@@ -229,7 +230,6 @@ class Localizer:
     def _proposals(
         self,
         query: Query,
-        scorer: Scorer,
         times: StageTimes,
         deadline_ms: float | None,
         near: Prior | None,
@@ -250,8 +250,7 @@ class Localizer:
                 candidates = [*fresh, *_counted(candidates, inliers)]
             over = times.beyond(deadline_ms)
             last = over or (count == matcher.schedule[-1] and not self.proposers)
-            decisive = scorer.segments_decide(candidates)
-            yield Proposed(len(nearest), matches, candidates, inliers, decisive or last)
+            yield Proposed(len(nearest), matches, candidates, inliers, last)
             if over:
                 return
         candidates = _counted(candidates, inliers)
@@ -261,8 +260,8 @@ class Localizer:
                 fresh = within(near, [replace(c, proposer=proposer.name) for c in proposals])
                 candidates = [*candidates, *_counted(fresh, inliers)]
             over = times.beyond(deadline_ms)
-            suffices = over or k == len(self.proposers)
-            yield Proposed(len(nearest), matches, candidates, inliers, suffices)
+            last = over or k == len(self.proposers)
+            yield Proposed(len(nearest), matches, candidates, inliers, last)
             if over:
                 return
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from . import geometry
-from .frontend.surfaces import AGAINST_GRAVITY, GRAVITY_REMEDY, is_upside_down
-from .likelihood import Observation, Posterior
+from .frontend.surfaces import AGAINST_GRAVITY, GRAVITY_REMEDY, is_upside_down, slides
+from .likelihood import Observation, Posterior, Trial
 from .localization import Localization, Localized, NotLocalized, Place, Reason
 from .map.segment_map import SegmentMap
 from .prior import Prior
@@ -22,7 +22,13 @@ NOT_FLAT = (
     "sensor: pass gravity or a pose)"
 )
 
-_OF_THE_QUERY = (Reason.NO_POINTS, Reason.NO_SEGMENTS, Reason.AMBIGUOUS, Reason.UNKNOWN_ATTITUDE)
+_OF_THE_QUERY = (
+    Reason.NO_POINTS,
+    Reason.NO_SEGMENTS,
+    Reason.AMBIGUOUS,
+    Reason.UNKNOWN_ATTITUDE,
+    Reason.TOO_LITTLE_IN_VIEW,
+)
 """Reasons that do not contradict the prior."""
 
 _ALIGNED_M, _ARM_M = 2.0, 10.0
@@ -41,15 +47,15 @@ class Proposed:
     candidates : list of Candidate
     inliers : callable
         Counts the segments that agree with a pose T_map_local, by these matches.
-    suffices : bool
-        True if no further proposal could change the decision.
+    last : bool
+        True if no further proposer is asked.
     """
 
     count: int
     matches: Matches
     candidates: list[Candidate]
     inliers: Callable[[Pose], int]
-    suffices: bool
+    last: bool
 
 
 @dataclass(frozen=True)
@@ -70,8 +76,8 @@ class Search:
         Why the most probable place is rejected; None if it is accepted.
     message : str
         The reason as a sentence with figures; "" if accepted.
-    fits : sequence of Observation
-        Fits at the places of the posterior.
+    places : sequence of Trial
+        Places under consideration, and what was measured of each.
     near : Prior or None
         Prior that restricted the search; None for the whole map.
     """
@@ -83,7 +89,7 @@ class Search:
     posterior: Posterior
     reason: Reason | None
     message: str
-    fits: Sequence[Observation] = ()
+    places: Sequence[Trial] = ()
     near: Prior | None = None
 
     @classmethod
@@ -92,7 +98,7 @@ class Search:
         prior_map: SegmentMap,
         proposed: Proposed,
         posterior: Posterior,
-        fits: Sequence[Observation],
+        places: Sequence[Trial],
         min_confidence: float,
         near: Prior | None = None,
     ) -> Search:
@@ -102,7 +108,12 @@ class Search:
             reason = Reason.NO_CONSISTENT_MATCHES
         message = posterior.message(min_confidence)
         where = prior_map, proposed.count, proposed.matches, proposed.candidates
-        return cls(*where, posterior, reason, message, tuple(fits), near)
+        return cls(*where, posterior, reason, message, tuple(places), near)
+
+    @property
+    def fits(self) -> list[Observation]:
+        """Fits at the places of the posterior."""
+        return [place.fit for place in self.places if place.fit is not None]
 
     @property
     def proposer(self) -> str | None:
@@ -165,7 +176,7 @@ def answer(
     if best is not None:
         common |= {name: getattr(best, name) for name in ("inliers", "overlap", "seen", "rmse")}
     if search.reason is not None or best is None:
-        return NotLocalized(**_why(search, query.cloud, counts, radius_m), **common)
+        return NotLocalized(**_why(search, query, counts, radius_m), **common)
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
         covariance=geometry.rotated_covariance(best.covariance, T_local_sensor),
@@ -204,14 +215,14 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
 
 
 def _why(
-    search: Search, cloud: LocalCloud, counts: Mapping[str, int], radius_m: float
+    search: Search, query: Query, counts: Mapping[str, int], radius_m: float
 ) -> dict[str, Any]:
     """Return the reason of the first stage without results, or else the posterior's."""
-    why, near = _why_anywhere(search, cloud, counts), search.near
+    why, near = _why_anywhere(search, query, counts), search.near
     reason, message = why["reason"], why["message"]
     if near is not None and reason not in _OF_THE_QUERY:
         reason = Reason.NOT_NEAR_PRIOR
-    fault = _fault(search, cloud, reason, radius_m)
+    fault = _fault(search, query.cloud, reason, radius_m)
     if reason is Reason.NOT_NEAR_PRIOR:
         message = f"{reason} ({near}: {fault or message})"
     elif fault:
@@ -219,7 +230,8 @@ def _why(
     return {"reason": reason, "message": message}
 
 
-def _why_anywhere(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) -> dict[str, Any]:
+def _why_anywhere(search: Search, query: Query, counts: Mapping[str, int]) -> dict[str, Any]:
+    cloud = query.cloud
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),
@@ -230,6 +242,9 @@ def _why_anywhere(search: Search, cloud: LocalCloud, counts: Mapping[str, int]) 
     if _is_inverted(cloud):
         message = f"{Reason.UNKNOWN_ATTITUDE} ({AGAINST_GRAVITY}: {GRAVITY_REMEDY})"
         return {"reason": Reason.UNKNOWN_ATTITUDE, "message": message}
+    if slides(query.scene.structure):
+        message = f"{Reason.TOO_LITTLE_IN_VIEW} (all walls face one way: nothing across them)"
+        return {"reason": Reason.TOO_LITTLE_IN_VIEW, "message": message}
     if search.reason is not Reason.AMBIGUOUS and cloud.attitude == "assumed":
         return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
     return {"reason": search.reason, "message": search.message}

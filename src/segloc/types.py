@@ -18,6 +18,7 @@ from .system.checks import Pose as Pose
 from .system.returns import measured_points
 
 Int64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 AttitudeSource = Literal["given", "estimated", "assumed"]
 """Source of roll and pitch: a pose or gravity, the scan itself, or none."""
 

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from golden.comparing import GROUPS, answers, check, compare, load
+from golden.corpus import config, mapped, queries
 from golden.records import exact
+from segloc import Localizer
+from segloc.likelihood import shipped_model
+from segloc.likelihood.posterior import log_odds
+from segloc.localization import Reason
 
 pytest.importorskip("embreex")
 
@@ -19,6 +24,24 @@ pytest.importorskip("embreex")
 def test_answers_are_those_stored(name: str) -> None:
     compared = check(name, answers(name)[0])
     assert compared.same, "\n".join(map(str, compared.differences))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["town", "offices"])
+def test_the_probability_that_is_reported_is_that_of_the_thorough_search(name: str) -> None:
+    localizer, apart = Localizer(mapped(name)[0], config()), list[float]()
+    cap = log_odds(1.0 - shipped_model().lapse)
+    for asked in queries(name):
+        query = localizer.describe(asked.scans)
+        one, full = (
+            localizer.search(query, near=asked.near, thorough=way) for way in (False, True)
+        )
+        odds = [log_odds(found.posterior.confidence) for found in (one, full)]
+        if max(odds) > 0.0:
+            apart.append(abs(min(odds[0], cap) - min(odds[1], cap)))
+        if full.reason is None:
+            assert one.reason is not Reason.NOT_IN_MAP, asked.name
+    assert len(apart) > 5 and np.median(apart) < 0.5 and np.percentile(apart, 95) < 1.0
 
 
 @pytest.fixture()

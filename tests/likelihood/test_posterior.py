@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from segloc.errors import WeightsError
-from segloc.likelihood import Count, Observation, Posterior, ScoredPose, shipped_model
-from segloc.likelihood.model import load_model
+from segloc.likelihood import Count, Evidence, Observation, Posterior, ScoredPose, shipped_model
+from segloc.likelihood.model import (
+    aligned_measures,
+    features_of,
+    known_odds,
+    load_model,
+    walls_over,
+)
 from segloc.localization import Reason
 
 MODEL = shipped_model()
@@ -21,28 +27,41 @@ MIN = 0.95
 
 
 def observed(
-    overlap: float,
+    on_map: float,
     seen: float,
     *,
+    known: float = 0.9,
     inliers: int = 8,
     flush: float = 0.8,
     ground: float = 0.95,
-    intruding: float = 0.005,
+    inside: float = 0.005,
+    walls: float = 0.8,
 ) -> Observation:
-    compared: Any = None
-    fit = Observation(np.eye(4), overlap, Count(round(2000 * seen), 2000), 0.1, None, compared)
-    fit.inliers = inliers
-    fit.flush, fit.ground = Count(round(900 * flush), 900), Count(round(900 * ground), 900)
-    fit.intruding = Count(round(1500 * intruding), 1500)
-    return fit
+    n = round(2000 * known)
+    on = round(n * on_map)
+    return Observation(
+        T_map_local=np.eye(4),
+        overlap=on_map,
+        seen=Count(round(2000 * seen), 2000),
+        rmse=0.1,
+        covariance=None,
+        known=Evidence(on, n - on, 2000),
+        inside=Count(round(600 * inside), 600),
+        flush=Count(round(900 * flush), 900),
+        ground=Count(round(900 * ground), 900),
+        walls=np.full(40, walls, np.float32),
+        inliers=inliers,
+    )
 
 
 def log_ratio(fit: Observation, others: list[Observation], inliers: int = 3) -> float:
-    return MODEL.log_ratio(MODEL.features(fit, others, inliers))
+    walls = [walls_over(fit.walls), *(walls_over(fit.walls, other.walls) for other in others)]
+    rivals = [aligned_measures(other) for other in others]
+    return MODEL.log_ratio(features_of(fit, rivals, inliers, min(walls)))
 
 
 def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
-    rival = [observed(0.5, 0.6, inliers=3, flush=0.4)]
+    rival = [observed(0.5, 0.6, inliers=3, walls=0.4)]
     good = log_ratio(observed(0.85, 0.95), rival)
     for worse in (
         log_ratio(observed(0.7, 0.95), rival),
@@ -50,11 +69,12 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.85, 0.95, inliers=5), rival),
         log_ratio(observed(0.85, 0.95, flush=0.5), rival),
         log_ratio(observed(0.85, 0.95, ground=0.5), rival),
-        log_ratio(observed(0.85, 0.95, intruding=0.1), rival),
+        log_ratio(observed(0.85, 0.95, inside=0.1), rival),
+        log_ratio(observed(0.85, 0.95, walls=0.6), rival),
         log_ratio(observed(0.85, 0.95), rival, inliers=7),
-        log_ratio(observed(0.85, 0.95), [observed(0.85, 0.6, inliers=3, flush=0.4)]),
-        log_ratio(observed(0.85, 0.95), [observed(0.5, 0.95, inliers=3, flush=0.4)]),
-        log_ratio(observed(0.85, 0.95), [observed(0.5, 0.6, inliers=3, flush=0.7)]),
+        log_ratio(observed(0.85, 0.95), [observed(0.85, 0.6, inliers=3, walls=0.4)]),
+        log_ratio(observed(0.85, 0.95), [observed(0.5, 0.95, inliers=3, walls=0.4)]),
+        log_ratio(observed(0.85, 0.95), [observed(0.5, 0.6, inliers=3, walls=0.7)]),
     ):
         assert worse < good
 
@@ -64,10 +84,28 @@ def test_no_observation_makes_an_impossible_score() -> None:
         for others in ([], [observed(0.0, 0.0)], [observed(1.0, 1.0)]):
             fit = observed(overlap, seen, inliers=inliers)
             assert math.isfinite(log_ratio(fit, others, most))
-    nothing: Any = None
-    blind = Observation(np.eye(4), 0.0, Count(0, 0), 0.0, None, nothing)
-    blind.flush = blind.ground = blind.intruding = Count(0, 0)
+    none = Count(0, 0)
+    blind = replace(
+        observed(0.0, 0.0), known=Evidence(0, 0, 0), seen=none, inside=none, flush=none, ground=none
+    )
+    blind.walls = blind.walls[:0]
     assert log_ratio(blind, []) < 0.0
+
+
+def test_what_the_map_does_not_know_is_no_evidence() -> None:
+    """Points in unknown space change nothing; a pose without known points fits as chance does."""
+    half = observed(0.9, 0.9, known=0.5)
+    assert known_odds(half.known) > 0.6 * known_odds(observed(0.9, 0.9).known)
+    unknown, bad = observed(0.0, 0.9, known=0.0), observed(0.0, 0.9)
+    assert known_odds(bad.known) < known_odds(unknown.known)
+    assert known_odds(unknown.known) == pytest.approx(math.log(1 / 3))
+
+
+def test_walls_are_compared_where_both_poses_know_them() -> None:
+    here, there = np.float32([1, 1, 1, 1, np.nan]), np.float32([1, 0, np.nan, 0, 1])
+    assert walls_over(here, there) == -walls_over(there, here) == math.log(7 / 5)
+    assert walls_over(here, here) == 0.0
+    assert walls_over(np.full(3, np.nan, np.float32)) == 0.0
 
 
 def places(*log_ratios: float) -> Posterior:
@@ -84,6 +122,9 @@ def test_probabilities_are_the_softmax_of_places_and_none() -> None:
     lapsing = Posterior.of(found.places, 0.01)
     assert np.allclose(lapsing.probabilities, 0.99 * np.array(found.probabilities))
     assert sum(lapsing.probabilities) + lapsing.not_in_map == pytest.approx(1.0)
+    beside = Posterior.of(found.places, 0.0, [2.0])
+    assert beside.confidence == pytest.approx(shares[0] / (shares.sum() + shares[0]))
+    assert sum(beside.probabilities) + beside.not_in_map == pytest.approx(1.0)
     empty = Posterior.of([])
     assert empty == Posterior() and empty.confidence == 0.0 and empty.not_in_map == 1.0
 

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
-from segloc.likelihood import VerificationConfig
-from segloc.likelihood.observation import Observation, QueryCloud
+from segloc.likelihood import Aligned, Count, QueryCloud, VerificationConfig
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
@@ -196,17 +195,17 @@ def test_fits_that_converge_to_one_pose_are_one_place(
         starts.append(Candidate(start, 0))
     likelihood = localizer.likelihood
     assert likelihood.separation.apart(*(start.T_map_local for start in starts))
-    cloud = likelihood.cloud
 
-    def unaligned(T: Pose, query: QueryCloud, *_: object, **__: object) -> Observation:
-        return cloud._observed(cloud._relative(T), None, query)
+    def unaligned(T: Pose, query: QueryCloud) -> Aligned:
+        return Aligned(T, 0.5, Count(1, 2))
 
-    monkeypatch.setattr(cloud, "refined", unaligned)  # only the last alignment brings them together
+    # Only the last alignment brings them together:
+    monkeypatch.setattr(likelihood.cloud, "aligned", unaligned)
     scorer = likelihood.scorer(likelihood.query(query.scene))
-    posterior = scorer.fit(starts, lambda T: 0, thorough=True)
+    scorer.add(starts, lambda T: 0)
     near = [
         place
-        for place in posterior.places
+        for place in scorer.measure(thorough=True).places
         if np.linalg.norm(place.T_map_local[:2, 3] - T_map_local[:2, 3]) < 1.0
     ]
     assert len(near) == 1

@@ -168,9 +168,10 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     correlate = {"points": points, "T_map_local": eye, "headings": [0.0, 1.0]}
     correlate |= {"cell": 0.5, "half_width": 3.0, "range": 20.0}
     yield "PointIndex.correlate", Call(index.correlate, correlate)
-    intrusion = {"points": points, "T_map_local": eye, "viewpoints": np.zeros((2, 3))}
-    intrusion |= {"range": 20.0, "bin_deg": 2.0, "radius": 0.5, "margin": 0.7, "half_width": 0.2}
-    yield "PointIndex.intrusion", Call(index.intrusion, intrusion)
+    known = {"viewpoints": np.zeros((2, 3)), "range": 20.0, "bin_deg": 2.0, "margin": 0.7}
+    yield "KnownSpace", Call(lambda **a: _native.KnownSpace(index, **a), known)
+    codes = {"points": points, "T_map_local": eye, "radius": 0.5}
+    yield "KnownSpace.codes", Call(_native.KnownSpace(index, **known).codes, codes)
     view = {"structure": points, "ground": points, "range": 30.0, "bin_deg": 1.0, "radius": 0.5}
     yield "VisibilityCheck", Call(_native.VisibilityCheck, view)
     count = {"points": points, "T_local_map": eye, "radius": 0.5, "margin": 1.0}
@@ -359,7 +360,8 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "PointIndex.overlap",
         "PointIndex.sample",
         "PointIndex.correlate",
-        "PointIndex.intrusion",
+        "KnownSpace",
+        "KnownSpace.codes",
         "VisibilityCheck",
         "VisibilityCheck.count",
         "normals",

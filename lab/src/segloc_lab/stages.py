@@ -88,5 +88,7 @@ def single_pass(
     with watch("verification"):
         likelihood, where = localizer.likelihood, localizer.prior_map.centroids
         agree = localizer.estimator.agreement(scene.segments.centroids, where, matches)
-        likelihood.scorer(likelihood.query(scene)).fit(hypotheses, agree)
+        scorer = likelihood.scorer(likelihood.query(scene))
+        scorer.add(hypotheses, agree)
+        scorer.measure()
     return scene, matches

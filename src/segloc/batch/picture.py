@@ -27,8 +27,8 @@ from ..inspect.pictures import (
     title,
 )
 from ..map.segment_map import SegmentMap
-from ..types import Float64
-from .score import PATH_BREAK_M, Bools, Evaluation
+from ..types import Bools, Float64
+from .score import PATH_BREAK_M, Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..localization import Localization
-from ..types import Float64, Int64, Pose
-
-Bools = NDArray[np.bool_]
+from ..types import Bools, Float64, Int64, Pose
 
 COVERAGE_RADIUS_M = 3.0
 """Maximum distance from the map's trajectory within map coverage [m]."""

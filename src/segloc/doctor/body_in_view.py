@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from .. import _native, geometry
 from ..frontend.local_cloud import Accumulator, Corner, LocalCloudConfig
 from ..frontend.segmentation import SegmentationConfig, heights_above_ground
-from ..types import Float32, Scan
+from ..types import Bools, Float32, Scan
 from .finding import Fault, Finding
 
 _MIN_SCANS = 6
@@ -23,7 +22,6 @@ _FAR_M, _FAR_CELL_M = (5.0, 15.0), 0.3  # the scene by which motion is recognise
 _AT_REST, _SAME = 0.5, 0.8  # share of the scene that is the same, in this share of the scans
 _MARGIN_M = 0.05  # around the cells
 _AROUND = np.ones((3, 3, 3), dtype=bool)
-Bools = NDArray[np.bool_]
 
 
 def body_findings(scans: Sequence[Scan], config: LocalCloudConfig) -> list[Finding]:

@@ -117,6 +117,8 @@ class Surfaces:
         return normal if min(within.mean(), alike.mean()) > _MIN_IN_PLANE else None
 
 
+_SLIDING_VOXEL_M, _MIN_FIXED = 0.3, 0.05
+"""Voxel size of a view, and least share of it that fixes the position in each direction."""
 _SIGNS = (-1.0, 1.0)
 Side = tuple[int, int]
 """Axis, and 0 for its negative or 1 for its positive side."""
@@ -151,6 +153,21 @@ def ground_side(found: Sequence[Surfaces], *, sure: bool = False) -> Side | None
         for surfaces, m in zip(found, metres, strict=True)
     ]
     return (axis, side) if np.mean(lowest) > 0.5 else None
+
+
+def slides(structure: Float32) -> bool:
+    """Return whether points (N, 3) above the ground fix no position along one direction.
+
+    They lie on walls that all face one way, as a wall and a straight corridor do; whatever is not
+    flat, and whatever faces another way, would fix it.
+    """
+    thinned = _native.voxel_grid(np.ascontiguousarray(structure), _SLIDING_VOXEL_M)
+    if len(thinned) < _MIN_PLACES:
+        return False
+    normals = _native.normals(thinned, 1.0, 2.5 * _SLIDING_VOXEL_M)
+    flat = normals[normals.any(axis=1)][:, :2]
+    fixed = np.linalg.eigvalsh(flat.T @ flat)[0] + 0.5 * (len(thinned) - len(flat))
+    return bool(fixed < _MIN_FIXED * len(thinned))
 
 
 def looks_up(points: Float32) -> bool:

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .. import geometry
-from ..likelihood import FEATURES, Model, Observation
+from ..likelihood import FEATURES, Count, Model, Observation
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
@@ -20,9 +19,7 @@ from ..prior import Prior
 from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
 from ..system.text import counted
-from ..types import Float32, Int64, LocalCloud, Pose, Segments
-
-Bools = NDArray[np.bool_]
+from ..types import Bools, Float32, Int64, LocalCloud, Pose, Segments
 
 _BEYOND_M = 2.0  # margin of map points around a query
 
@@ -171,32 +168,33 @@ def _parts(model: Model, found: Search) -> tuple[Part, ...]:
 
 def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]:
     """Describe the measurement behind each feature."""
-    seen = "no map points in view"
+    seen, flush, ground = "no map points in view", "no walls to compare", "no ground to compare"
     if (share := fit.seen.share) is not None:
         seen = f"{share:.0%} of the map points in view are seen"
-    flush, ground, free = (
-        "no walls to compare",
-        "no ground to compare",
-        "free space was not compared",
-    )
     if (share := fit.flush.share) is not None:
         flush = f"{share:.0%} of the wall points are on the map's walls"
     if (share := fit.ground.share) is not None:
         ground = f"{share:.0%} of the ground lies on the map's ground"
-    if fit.has("intruding") and (share := fit.intruding.share) is not None:
-        free = f"{share:.1%} of the above-ground points are in free space of the map"
-    lies = f"{fit.overlap:.0%} of the cloud lies on the map"
+    free = f"{fit.inside.hits} of {fit.inside.of} patches are in free space of the map"
+    told = [int(np.isfinite(fit.walls - other.walls).sum()) for other in others]
+    walls = f"{int(np.isfinite(fit.walls).sum())} patches of walls compared"
+    known = fit.known.on + fit.known.off
+    lies = f"{fit.known.on} of {known} points in known space are on the map"
     return {
-        "in_view": f"{fit.seen.of} map points in view",
         "flush": flush,
+        "ground": ground,
+        "free_space": free,
         "inliers_over_rival": f"{fit.inliers} segments, elsewhere "
         f"{max([0, *(other.inliers for other in others)])}",
-        "overlap_over_rival": f"{lies}, {_elsewhere([other.overlap for other in others])}",
+        "known_over_rival": f"{lies}, {_elsewhere([_on(other) for other in others])}",
         "seen_over_rival": f"{seen}, {_elsewhere([other.seen.share for other in others])}",
-        "ground_over_rival": f"{ground}, {_elsewhere([other.ground.share for other in others])}",
-        "flush_over_rival": f"{flush}, {_elsewhere([other.flush.share for other in others])}",
-        "free_space": free,
+        "walls_over_rival": f"{walls}, {min(told)} with each other place" if told else walls,
     }
+
+
+def _on(fit: Observation) -> float | None:
+    """Return the share of the points in known space that are on the map."""
+    return Count(fit.known.on, fit.known.on + fit.known.off).share
 
 
 def _elsewhere(shares: Sequence[float | None]) -> str:

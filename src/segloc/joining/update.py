@@ -16,12 +16,11 @@ from ..map.compact import CompactConfig, compacted
 from ..map.config import BuildConfig, stored_config, stored_text
 from ..map.segment_map import SegmentMap
 from ..system.section import Section
-from ..types import Float64, Recording, Scanned, as_recording
+from ..types import Bools, Float64, Recording, Scanned, as_recording
 from .same_place import check_same_place
 from .shift import TO_THE_FRAME, Shift, check_shift
 from .visibility import Visibility, VisibilityConfig, visibility
 
-Bools = NDArray[np.bool_]
 Int32 = NDArray[np.int32]
 
 _POINT_AREA_M2 = 0.04  # surface per point of a segment: voxels of 0.2 m

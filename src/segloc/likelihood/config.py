@@ -20,18 +20,7 @@ class VerificationConfig(Section):
     )
     refine: bool = Field(True, description="refine the pose by ICP")
 
-    max_refined: int = Field(
-        2,
-        ge=1,
-        le=100,
-        description="candidates measured: the best by segments, and the best by clouds",
-    )
-    refined_from: float = Field(
-        0.9,
-        ge=0,
-        le=10,
-        description="least rough overlap of other measured poses, as a share of the best",
-    )
+    max_places: int = Field(8, ge=1, le=100, description="most places that are aligned")
     coarse_radius: float = Field(
         0.5, ge=0.01, le=10, description="neighbourhood before ICP, metres"
     )

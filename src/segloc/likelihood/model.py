@@ -7,50 +7,86 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
-from .observation import DOUBTFUL, Count, Observation
+from ..types import Float32
+from .observation import Aligned, Count, Evidence, Observation
 
 FEATURES = (
-    "in_view",
     "flush",
+    "ground",
     "free_space",
     "inliers_over_rival",
-    "overlap_over_rival",
+    "known_over_rival",
     "seen_over_rival",
-    "ground_over_rival",
-    "flush_over_rival",
+    "walls_over_rival",
 )
-"""Names of the features, in the order of :meth:`Model.features`."""
+"""Names of the features, in the order of :func:`features_of`."""
 
-_PRIOR = {"flush": 10.0, "ground": 10.0, "seen": 15.0}
-"""Points by which shares are smoothed."""
-_CHANCE_OVERLAP = 0.25
-_CHANCE = {"flush": Count(40, 100), "ground": Count(80, 100), "seen": Count(50, 100)}
-"""Counts of a runner-up if there is none; nor is its overlap or visibility taken to be lower."""
+_PRIOR, _SEEN_PRIOR = 10.0, 15.0
+"""Points by which shares of surfaces and of the map in view are smoothed."""
+_NEARLY_ALL = 0.05
+"""Shares nearer to all or nothing than this are hardly told apart: noise decides there."""
+_CHANCE_OVERLAP, _KNOWN_PRIOR = 0.25, 0.2
+"""Share of known points that lie on the map at some pose of any map, and by how many, as a share of
+all, those of a pose are smoothed: a pose that the map knows nothing about fits as chance does."""
+_CHANCE_WALLS = 0.4
+"""Share of each wall patch that some pose of any map explains."""
+_WALLS_PRIOR = 5.0
+"""Wall patches by which those told apart are smoothed."""
 _CHANCE_INLIERS = 4
 """Inliers of some wrong pose of any map."""
-_MAX_IN_VIEW = 3000
-"""Largest number of map points in view that counts."""
-FREE, OBSTRUCTED = Count(0, 2000), Count(2000, 2000)
-"""Occupied free space at best and at worst."""
 
-_SEEN, _INTRUDING = 0.75, 0.02
+_SEEN, _INSIDE = 0.75, 0.02
 """Shares of the seen map in view, and of a query in free space, at correct poses after changes."""
+
+
+class Measured(Protocol):
+    """What the features of a pose are made of: an :class:`Observation`, or a kept row."""
+
+    @property
+    def inliers(self) -> int: ...
+    @property
+    def known(self) -> Evidence: ...
+    @property
+    def seen(self) -> Count: ...
+    @property
+    def inside(self) -> Count: ...
+    @property
+    def flush(self) -> Count: ...
+    @property
+    def ground(self) -> Count: ...
+
+
+class Promise(Section):
+    """How likely a place competes, by what is known of it before it is measured to the end.
+
+    A logistic regression: a constant and one weight a rough measure, fitted to places whose
+    log-ratio is, or is not, above that of "not in this map".
+    """
+
+    weights: tuple[float, ...] = Field(description="constant, then one weight a rough measure")
+
+    def log_odds(self, measures: Sequence[float]) -> float:
+        """Return the log-odds that a place competes, by its rough measures."""
+        return sum(w * x for w, x in zip(self.weights, (1.0, *measures), strict=True))
 
 
 class Model(Section):
     """Log-ratio of a pose: a weighted sum of its features."""
 
-    format: int = Field(ge=4, le=4, description="format version")
+    format: int = Field(ge=5, le=5, description="format version")
     weights: Mapping[str, float] = Field(
         description="weight of each feature; natural logarithms, no unit"
     )
     none: float = Field(description='score of "not in this map"')
+    rough: Promise = Field(description="of places before alignment")
+    aligned: Promise = Field(description="of places after alignment with some of the points")
     unseen: float = Field(
         description="log-probability that a place without segment matches fits as well as the best"
     )
@@ -63,64 +99,97 @@ class Model(Section):
     card: Mapping[str, Any] = Field(description="data, command, figures and reliability of the fit")
 
     def log_ratio(self, features: Sequence[float]) -> float:
-        """Return the log-ratio of a pose against "not in this map", by :meth:`features`."""
+        """Return the log-ratio of a pose against "not in this map", by :func:`features_of`."""
         weighed = (self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
         return sum(weighed) - self.none
-
-    def features(
-        self,
-        fit: Observation,
-        others: Sequence[Observation],
-        inliers: int,
-        unknown: Count = DOUBTFUL,
-    ) -> tuple[float, ...]:
-        """Return the features of a pose.
-
-        Parameters
-        ----------
-        fit : Observation
-        others : sequence of Observation
-            Fits at other places. Overlap and visibility are compared with the best of them, or with
-            chance if that is higher: among places that do not fit at all, one that hardly fits is
-            no better for it. Ground and walls are compared with the best of each.
-        inliers : int
-            Most inliers of any pose at another place.
-        unknown : Count
-            Occupied free space, if it was not measured.
-        """
-        overlap, seen = share_odds(_CHANCE_OVERLAP), _chance("seen")
-        if others:
-            odds = ((share_odds(o.overlap), _odds("seen", o.seen)) for o in others)
-            best = max(odds, key=sum)
-            overlap, seen = max(overlap, best[0]), max(seen, best[1])
-        ground = max((_odds("ground", o.ground) for o in others), default=_chance("ground"))
-        flush = max((_odds("flush", o.flush) for o in others), default=_chance("flush"))
-        return (
-            math.log(50.0 + min(fit.seen.of, _MAX_IN_VIEW)),
-            _odds("flush", fit.flush),
-            free_space(fit.intruding if fit.has("intruding") else unknown),
-            inlier_ratio(fit.inliers, inliers),
-            share_odds(fit.overlap) - overlap,
-            _odds("seen", fit.seen) - seen,
-            _odds("ground", fit.ground) - ground,
-            _odds("flush", fit.flush) - flush,
-        )
 
     def consistency(self, fit: Observation) -> float:
         """Return the part of a pose's score that is independent of unmapped parts of the query.
 
         Points in view of both are compared with those of correct poses after changes.
         """
-        seen, intruding = fit.seen, fit.intruding
+        seen, inside = fit.seen, fit.inside
         usual = Count(round(_SEEN * seen.of), seen.of)
-        clear = Count(round(_INTRUDING * intruding.of), intruding.of)
+        clear = Count(round(_INSIDE * inside.of), inside.of)
         return self.weights["seen_over_rival"] * (
-            _odds("seen", seen) - _odds("seen", usual)
-        ) + self.weights["free_space"] * (free_space(intruding) - free_space(clear))
+            seen.log_odds(_SEEN_PRIOR) - usual.log_odds(_SEEN_PRIOR)
+        ) + self.weights["free_space"] * (free_space(inside) - free_space(clear))
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """Return the log-ratio of a pose to another that differs only in its inliers."""
         return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)
+
+
+def features_of(
+    fit: Measured, rivals: Sequence[Sequence[float]], inliers: int, walls: float
+) -> tuple[float, ...]:
+    """Return the features of a pose.
+
+    Parameters
+    ----------
+    fit : Measured
+    rivals : sequence of (overlap, seen)
+        :func:`aligned_measures` of the other places among the most promising ones. The pose is
+        compared with the one that overlaps most, or with chance if that is higher: a place that
+        fits no better than chance says nothing.
+    inliers : int
+        Most inliers of any pose at another place.
+    walls : float
+        Least :func:`walls_over` of chance and of each other place that was measured to the end.
+    """
+    overlap, seen = max(rivals, key=lambda rival: rival[0], default=CHANCE_RIVAL)
+    if overlap <= CHANCE_RIVAL[0]:
+        overlap, seen = CHANCE_RIVAL
+    return (
+        surface_odds(fit.flush),
+        surface_odds(fit.ground),
+        free_space(fit.inside),
+        inlier_ratio(fit.inliers, inliers),
+        known_odds(fit.known) - overlap,
+        fit.seen.log_odds(_SEEN_PRIOR) - max(seen, CHANCE_RIVAL[1]),
+        walls,
+    )
+
+
+def rough_measures(overlap: float, rival: float, inliers: int, elsewhere: int) -> tuple[float, ...]:
+    """Return what is known of a place before alignment.
+
+    Parameters
+    ----------
+    overlap, rival : float
+        Overlap here, and the largest one elsewhere.
+    inliers, elsewhere : int
+        Segments that agree here, and at most elsewhere.
+    """
+    odds = share_odds(overlap)
+    over = odds - max(share_odds(rival), share_odds(_CHANCE_OVERLAP))
+    return odds, over, inlier_ratio(inliers, elsewhere)
+
+
+def aligned_measures(aligned: Aligned) -> tuple[float, ...]:
+    """Return what is known of a place after alignment with some of the points."""
+    return share_odds(aligned.overlap), aligned.seen.log_odds(_SEEN_PRIOR)
+
+
+def walls_over(here: Float32, elsewhere: Float32 | None = None) -> float:
+    """Return the log-ratio of the walls that only one of two poses explains.
+
+    Parameters
+    ----------
+    here, elsewhere : (P,) float32
+        Share of each patch of walls on the map; NaN if unknown. By default elsewhere is chance.
+    """
+    more = here - (np.float32(_CHANCE_WALLS) if elsewhere is None else elsewhere)
+    known = more[more == more]
+    total, either = float(known.sum()), float(np.abs(known).sum())
+    return math.log((either + total + 2 * _WALLS_PRIOR) / (either - total + 2 * _WALLS_PRIOR))
+
+
+def known_odds(known: Evidence) -> float:
+    """Return the log-odds of the points on the map to those beside it; chance if all is unknown."""
+    least = _KNOWN_PRIOR * max(known.of, 1)
+    on, off = known.on + _CHANCE_OVERLAP * least, known.off + (1.0 - _CHANCE_OVERLAP) * least
+    return math.log(on / off)
 
 
 def inlier_ratio(inliers: int, elsewhere: int) -> float:
@@ -128,22 +197,23 @@ def inlier_ratio(inliers: int, elsewhere: int) -> float:
     return math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
 
 
-def free_space(intruding: Count) -> float:
-    """Return the negative log of the share of occupied free space."""
-    return -math.log((intruding.hits + 2.0) / (intruding.of + 40.0))
+def free_space(inside: Count) -> float:
+    """Return the negative log of the share of patches in free space."""
+    return -math.log((inside.hits + 3.0) / (inside.of + 60.0))
 
 
 def share_odds(share: float) -> float:
     """Return the log-odds of a share, bounded at 0 and 1."""
-    return math.log((share + 0.05) / (1.05 - share))
+    return math.log((share + _NEARLY_ALL) / (1.0 + _NEARLY_ALL - share))
 
 
-def _odds(name: str, count: Count) -> float:
-    return count.log_odds(_PRIOR[name])
+def surface_odds(count: Count) -> float:
+    """Return the log-odds of the points on surfaces of the map."""
+    return count.log_odds(_PRIOR + _NEARLY_ALL * count.of)
 
 
-def _chance(name: str) -> float:
-    return _odds(name, _CHANCE[name])
+CHANCE_RIVAL = share_odds(_CHANCE_OVERLAP), 0.0
+"""Measures of the best wrong pose of any map: half of the map in view is seen."""
 
 
 def load_model(path: Path) -> Model:

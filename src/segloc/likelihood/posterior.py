@@ -71,17 +71,21 @@ class Posterior:
     not_in_map: float = 1.0
 
     @classmethod
-    def of(cls, places: Sequence[ScoredPose], lapse: float = 0.0) -> Posterior:
+    def of(
+        cls, places: Sequence[ScoredPose], lapse: float = 0.0, unmeasured: Sequence[float] = ()
+    ) -> Posterior:
         """Compute the softmax over places and "none of them", whose log-ratio is 0.
 
-        ``lapse`` is the probability of misleading log-ratios: it is added to "none".
+        ``lapse`` is the probability of misleading log-ratios; it is added to "none", and so are
+        places that were not measured, by the log-ratios that are expected of them.
         """
         ordered = sorted(places, key=lambda place: -place.log_ratio)
-        log_ratios = np.array([*(place.log_ratio for place in ordered), 0.0])
+        log_ratios = np.array([*(place.log_ratio for place in ordered), 0.0, *unmeasured])
         shares = np.exp(log_ratios - log_ratios.max())
         shares *= (1.0 - lapse) / shares.sum()
-        *probabilities, not_in_map = shares.tolist()
-        return cls(tuple(ordered), tuple(probabilities), not_in_map + lapse)
+        probabilities = shares[: len(ordered)].tolist()
+        not_in_map = float(shares[len(ordered) :].sum()) + lapse
+        return cls(tuple(ordered), tuple(probabilities), not_in_map)
 
     @property
     def best(self) -> ScoredPose | None:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from copy import copy
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
-from ..types import Candidate, Float32, Float64, Pose
+from ..types import Bools, Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .model import FREE, OBSTRUCTED, shipped_model
-from .nearby import Surroundings
-from .observation import DOUBTFUL, Count, MapCloud, Observation, QueryCloud, RankedCandidate
+from .model import Model, aligned_measures, features_of, rough_measures, shipped_model, walls_over
+from .observation import Aligned, MapCloud, Observation, QueryCloud
 from .posterior import Posterior, ScoredPose, log_odds
 
-_SLACK = 6.0
-"""Largest gain of log-ratio by alignment with all points."""
+_MOST_ALIGNED, _MOST_MEASURED = 20, 8
+"""Places that a thorough search aligns, and measures to the end."""
+RIVALS = 4
+"""Most promising places, which are always aligned: each pose is compared with the best of them."""
 
 Inliers = Callable[[Pose], int]
 """Counts the distinct query segments that agree with a pose T_map_local."""
@@ -43,8 +43,10 @@ class Likelihood:
         0 is all cores; results do not depend on it.
     storeyed : bool
         True if the map has several storeys.
-    path : (M, 3) float64, optional
+    path : (M, 3) float64
         Positions of the mapping sensor, in map coordinates.
+    model : Model, optional
+        By default the shipped one.
 
     Attributes
     ----------
@@ -61,8 +63,9 @@ class Likelihood:
         threads: int = 0,
         storeyed: bool = False,
         path: Float64,
+        model: Model | None = None,
     ) -> None:
-        self.config, self.model = config or VerificationConfig(), shipped_model()
+        self.config, self.model = config or VerificationConfig(), model or shipped_model()
         self.separation = separation or Separation()
         self.cloud = MapCloud(cloud, origin, self.config, self.separation, threads, storeyed, path)
 
@@ -76,20 +79,22 @@ class Likelihood:
 
     def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
         """Align and measure a query at a known pose, without search, segments and runner-up."""
-        fit = self.cloud.refined(T_map_local, query, roughly=False)
-        fit.intruding  # noqa: B018  (measured on first use)
-        found = self.scored(fit, self.model.features(fit, [], 0))
+        fit = self.cloud.measured(T_map_local, query)
+        found = self.scored(fit, features_of(fit, (), 0, walls_over(fit.walls)))
         # Points off the map do not lower the ratio of a known pose.
         mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
         off_map = min(0.0, math.log1p(-mapped) + self.model.consistency(fit))
         known_ratio = float(np.logaddexp(math.log(mapped) + found.log_ratio, off_map))
         return replace(found, known_ratio=known_ratio)
 
-    def segments_decide(self, inliers: int, elsewhere: int) -> bool:
-        """Return whether the inliers of a pose, against those elsewhere, suffice to accept it over
-        a place without segment matches that fits as well."""
-        margin = self.model.margin(inliers, elsewhere) - self.model.unseen
-        return margin >= log_odds(self.config.min_confidence)
+    def unproposed(self, inliers: int, elsewhere: int) -> float:
+        """Return the log-ratio, to a place with these inliers, of one that segments did not
+        propose; ``elsewhere`` is the most inliers of any other."""
+        return self.model.unseen - self.model.margin(inliers, elsewhere)
+
+    def segments_suffice(self, inliers: int, elsewhere: int) -> bool:
+        """Return whether a place with these inliers may be accepted before other proposers."""
+        return -self.unproposed(inliers, elsewhere) >= log_odds(self.config.min_confidence)
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """Return the fit at a pose with its log-ratio."""
@@ -105,190 +110,302 @@ class Likelihood:
         )
 
 
-class Scorer:
-    """Measures one query at proposed places, each at most once.
+@dataclass
+class Trial:
+    """A pose under consideration, and what is measured of it so far.
 
     Attributes
     ----------
-    fits : list of Observation
-        Fits at the distinct places measured.
+    T_map_local : (4, 4) float64
+    inliers : int
+        Number of distinct query segments that agree with the pose.
+    overlap : float
+        Overlap before alignment.
+    measures : tuple of float
+        What is known before alignment, by :func:`rough_measures`.
+    aligned : Aligned or None
+        After alignment with some of the points.
+    fit : Observation or None
+        After alignment with all points.
+    scored : ScoredPose or None
+        Score of the fit beside the other places.
+    rough, promise : float
+        Log-odds that the place competes: before alignment, and by what is measured so far.
+    """
+
+    T_map_local: Pose
+    inliers: int
+    overlap: float
+    measures: tuple[float, ...] = ()
+    aligned: Aligned | None = None
+    fit: Observation | None = None
+    scored: ScoredPose | None = None
+    rough: float = -math.inf
+    promise: float = -math.inf
+
+    @property
+    def log_ratio(self) -> float:
+        """The log-ratio, or minus infinity before it is known."""
+        return -math.inf if self.scored is None else self.scored.log_ratio
+
+    def expect(self, model: Model) -> None:
+        """Update the promise by what is measured so far."""
+        self.rough = self.promise = model.rough.log_odds(self.measures)
+        if self.aligned is not None:
+            measures = (*self.measures, *aligned_measures(self.aligned))
+            self.promise = model.aligned.log_odds(measures)
+
+
+class Scorer:
+    """Measures one query at proposed places, the most promising first, until the decision is sure.
+
+    Attributes
+    ----------
+    places : list of Trial
+        Distinct places under consideration.
+    complete : bool
+        False while other proposers have not been asked: what they may propose has its share.
     """
 
     def __init__(self, likelihood: Likelihood, query: QueryCloud, allowed: Allowed) -> None:
         self._likelihood, self._query, self._allowed = likelihood, query, allowed
         self._config, self._model = likelihood.config, likelihood.model
-        self._map, self._apart = likelihood.cloud, likelihood.separation.apart
+        self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
-        self._candidates: Sequence[Candidate] = ()
-        self._finished: list[Observation] = []
-        self.fits: list[Observation] = []
+        self._surrounded: list[Pose] = []
+        self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
+        self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
+        self._compared: dict[tuple[int, int], float] = {}
+        self._measured: list[Observation] = []  # kept alive: walls are compared by identity
+        self.places: list[Trial] = []
+        self.complete = True
 
-    def segments_decide(self, candidates: Sequence[Candidate]) -> bool:
-        """Return whether segment matches decide for one of the candidates."""
-        if not candidates:
-            return False
-        best = max(candidates, key=lambda c: c.inliers)
-        elsewhere = self._most_elsewhere(candidates, best.T_map_local)
-        return self._likelihood.segments_decide(best.inliers, elsewhere)
+    @property
+    def fits(self) -> list[Observation]:
+        """Fits at the distinct places that were measured to the end."""
+        return [place.fit for place in self.places if place.fit is not None]
 
-    def fit(
-        self, candidates: Sequence[Candidate], inliers: Inliers, *, thorough: bool = False
-    ) -> Posterior:
-        """Measure the most promising candidates.
-
-        A few candidates are aligned with some of the points. Alignment with all points, and the
-        measurement of free space, are only for those that may be accepted or be the runner-up.
+    def add(
+        self, candidates: Sequence[Candidate], inliers: Inliers, *, complete: bool = True
+    ) -> None:
+        """Consider candidates: all so far, with their inliers by the newest matches.
 
         Parameters
         ----------
         candidates : sequence of Candidate
-            All so far, T_map_local.
+            T_map_local.
         inliers : callable
             Counts the segments that agree with a pose.
-        thorough : bool
-            Measure more candidates, and all features.
+        complete : bool
+            False if further proposers may be asked.
         """
-        self._candidates = candidates
-        ranked = self._map.ranked(candidates, self._query) if candidates else []
-        for fit in self.fits:
-            fit.inliers = inliers(fit.T_map_local)
-        decisive = not thorough and self.segments_decide(candidates)
-        if decisive:
-            best = min(ranked, key=by_segments)
-            fit = self._measure(best.T_map_local, inliers, roughly=False)
-            place = self._at_least(fit, ranked)
-            if place.log_ratio >= self._threshold:
-                self.fits = [fit]
-                return Posterior.of([place], self._model.lapse)
-        chosen = self._promising(ranked, thorough)
-        around = None
-        if chosen and not decisive:
-            around = self._map.around(chosen[0].T_map_local, self._query)
-        for k, c in enumerate(chosen):
-            start = around.start if around and k == 0 else None
-            self._take(self._measure(c.T_map_local, inliers, start))
-        if around and (thorough or self._best_case() >= self._threshold - _SLACK):
-            for T in self._rivals(around, chosen[0]):
-                self._take(self._measure(T, inliers))
-        while (fit_left := self._undecided(thorough)) is not None:
-            finished = self._map.finished(fit_left, self._query)
-            self._finished.append(finished)
-            self.fits.remove(fit_left)
-            self._take(finished)  # two that converge to one pose are one place
-            if thorough or not self._is_believed_anyway(finished):
-                finished.intruding  # noqa: B018  (measured on first use)
+        self.complete, self._inliers = complete, inliers
+        if candidates:
+            self._candidates = np.stack([c.T_map_local for c in candidates])
+            self._inliers_there = np.array([c.inliers for c in candidates])
+        for place in self.places:
+            self._count(place)
+        self._consider([(c.T_map_local, c.inliers) for c in candidates])
+
+    def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
+        """Return whether the best of the candidates may be accepted before other proposers."""
+        if not candidates:
+            return False
+        best = max(candidates, key=lambda c: c.inliers)
+        poses = np.stack([c.T_map_local for c in candidates])
+        apart = self._separation.apart_from(best.T_map_local[None], poses)[0]
+        there = (c.inliers for c, far in zip(candidates, apart, strict=True) if far)
+        return self._likelihood.segments_suffice(best.inliers, max(there, default=0))
+
+    def measure(self, *, thorough: bool = False) -> Posterior:
+        """Measure places until it is unlikely that any other competes; return the posterior.
+
+        ``thorough`` measures the most promising ones to the end, whatever they promise.
+        """
+        self._meet_rivals()
+        while (place := self._next(thorough)) is not None:
+            self._advance(place)
+            leader = self._leader()
+            if leader is not None and (thorough or leader.log_ratio >= self._threshold):
+                self._surround(leader)
         return self.posterior()
 
     def posterior(self) -> Posterior:
-        """Return the posterior of all fits."""
-        rivals = FREE if self._finished else DOUBTFUL
-        places = [
-            self._scored(fit, DOUBTFUL if fit in self._finished else rivals) for fit in self.fits
-        ]
-        return Posterior.of(places, self._model.lapse)
+        """Return the posterior of what was measured; the rest has a share by its promise."""
+        scored = [place.scored for place in self.places if place.scored is not None]
+        left = [place.promise for place in self.places if place.fit is None]
+        best = max(scored, key=lambda place: place.log_ratio, default=None)
+        if best is not None and not self.complete:
+            (elsewhere,) = self._most_elsewhere(best.T_map_local[None])
+            left.append(best.log_ratio + self._likelihood.unproposed(best.inliers, elsewhere))
+        return Posterior.of(scored, self._model.lapse, left)
 
-    def _is_believed_anyway(self, fit: Observation) -> bool:
-        """Return whether a place is accepted even with all its free space occupied, none elsewhere.
+    def _meet_rivals(self) -> None:
+        """Align the most promising places: with the best of them each pose is compared."""
+        if not self.places:
+            return
+        first = max(self.places, key=lambda place: place.rough)
+        start = self._surround(first)
+        self._rivals = []
+        for place in sorted(self.places, key=lambda place: -place.rough)[:RIVALS]:
+            if place.aligned is None:
+                self._align(place, start if place is first else None)
+            assert place.aligned is not None
+            self._rivals.append((place.aligned.T_map_local, aligned_measures(place.aligned)))
+        for place in list(self.places):
+            self._merge(place)
+        self._score()
 
-        Measuring free space takes as long as several alignments.
-        """
-        place = self._scored(fit, OBSTRUCTED)
-        others = [self._scored(other, FREE) for other in self.fits if other is not fit]
-        posterior = Posterior.of([place, *others], self._model.lapse)
-        return posterior.best is place and posterior.confidence >= self._config.min_confidence
-
-    def _undecided(self, thorough: bool) -> Observation | None:
-        """Return the most probable place whose unmeasured features could change the result.
-
-        With its free space unoccupied, such a place might be accepted, or be the runner-up.
-        """
-        known, left = -math.inf, list[tuple[float, Observation]]()
-        for fit in self.fits:
-            log_ratio = self._scored(fit, FREE).log_ratio
-            if fit in self._finished:
-                known = max(known, log_ratio)
-            else:
-                left.append((log_ratio, fit))
+    def _next(self, thorough: bool) -> Trial | None:
+        """Return the most promising place to measure; None if no other is likely to compete."""
+        begun = sum(place.aligned is not None for place in self.places)
+        may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places)
+        left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
+        if thorough:
+            fresh = [place for place in left if place.aligned is None]
+            left = fresh or ([] if len(self.fits) >= _MOST_MEASURED else left)
         if not left:
             return None
-        most, fit = max(left, key=lambda each: each[0])
-        matters = known - most < self._threshold + _SLACK and max(known, most) >= self._threshold
-        return fit if matters or thorough else None
+        first, leader = max(left, key=lambda place: place.promise), self._leader()
+        if thorough:
+            return first
+        unlikely = -self._threshold
+        if leader is None and first.promise < unlikely:
+            aligned = [place for place in left if place.aligned is not None]
+            return max(aligned, key=lambda place: place.promise, default=None)
+        if leader is not None and leader.log_ratio >= self._threshold:
+            any_other = sum(1.0 / (1.0 + math.exp(-place.promise)) for place in left)
+            return first if log_odds(any_other) >= unlikely else None
+        return first if first.promise >= unlikely else None
 
-    def _measure(
-        self, T: Pose, inliers: Inliers, start: Pose | None = None, *, roughly: bool = True
-    ) -> Observation:
-        fit = self._map.refined(T, self._query, start, roughly=roughly)
-        fit.inliers = inliers(fit.T_map_local)
-        return fit
+    def _advance(self, place: Trial) -> None:
+        """Measure a place more exactly; one that meets another place is the same."""
+        if place.aligned is None:
+            self._align(place)
+        else:
+            place.fit = self._map.measured(place.T_map_local, self._query)
+            self._measured.append(place.fit)
+            place.T_map_local = place.fit.T_map_local
+            self._count(place)
+        self._merge(place)
+        if place.fit is not None:
+            self._score()
 
-    def _at_least(self, fit: Observation, ranked: Sequence[RankedCandidate]) -> ScoredPose:
-        """Score a pose against the best that another place can be by rough overlaps."""
-        apart, T = self._apart, fit.T_map_local
-        others = [c for c in ranked if apart(c.T_map_local, T)]
-        fit.flush, fit.ground  # noqa: B018  (measured on first use, and shared by the copy)
-        rival = copy(fit)
-        rival.overlap = max((c.overlap for c in others), default=fit.overlap)
-        features = self._model.features(fit, [rival], self._most_elsewhere(self._candidates, T))
-        return self._likelihood.scored(fit, features)
+    def _align(self, place: Trial, start: Pose | None = None) -> None:
+        """Align a place, also from a better start if there is one."""
+        place.aligned = self._map.aligned(place.T_map_local, self._query)
+        if start is not None and not np.array_equal(start, place.T_map_local):
+            other = self._map.aligned(start, self._query)
+            if other.overlap > place.aligned.overlap:
+                place.aligned = other
+        place.T_map_local = place.aligned.T_map_local
+        self._count(place)
+        place.expect(self._model)
 
-    def _promising(
-        self, ranked: Sequence[RankedCandidate], thorough: bool
-    ) -> list[RankedCandidate]:
-        """Return the candidates to measure."""
-        most = self._config.max_refined * (3 if thorough or self._map.storeyed else 1)
-        least = self._config.refined_from * max((c.overlap for c in ranked), default=0.0)
-        chosen: list[RankedCandidate] = []
-        for key in (by_segments, by_clouds, by_overlap):
-            best = [c for c in sorted(ranked, key=key) if self._is_new(c, chosen)][:most]
-            apart = [c for k, c in enumerate(best) if self._is_new(c, best[:k])]
-            chosen += [c for k, c in enumerate(apart) if not k or thorough or c.overlap >= least]
-        return chosen
+    def _count(self, place: Trial) -> None:
+        """Count the inliers of a place."""
+        place.inliers = self._inliers(place.T_map_local)
+        if place.fit is not None:
+            place.fit.inliers = place.inliers
 
-    def _rivals(self, around: Surroundings, candidate: RankedCandidate) -> Iterator[Pose]:
-        """Yield the poses around a candidate at which the clouds fit nearly as well."""
-        near = [Candidate(T, 0) for T in around.rivals if self._allowed(T)]
-        least = self._config.refined_from * candidate.overlap
-        for rival in self._map.ranked(near, self._query) if near else []:
-            if rival.overlap >= least:
-                yield rival.T_map_local
+    def _surround(self, place: Trial) -> Pose | None:
+        """Consider the poses around a place at which the clouds fit; return a better start."""
+        apart = self._separation.apart
+        if not all(apart(place.T_map_local, T) for T in self._surrounded):
+            return None
+        self._surrounded.append(place.T_map_local)
+        around = self._map.around(place.T_map_local, self._query)
+        near = [T for T in around.rivals if self._allowed(T)]
+        self._consider([(T, self._inliers(T)) for T in near])
+        return around.start
 
-    def _best_case(self) -> float:
-        """Return the largest log-ratio of a place if all its free space is unoccupied."""
-        return max((self._scored(fit, FREE).log_ratio for fit in self.fits), default=-math.inf)
+    def _consider(self, poses: Sequence[tuple[Pose, int]]) -> None:
+        """Add poses with their inliers, the most promising at each place."""
+        if not poses:
+            return
+        overlaps = self._map.rough_overlap([T for T, _ in poses], self._query)
+        fresh = [Trial(T, n, o) for (T, n), o in zip(poses, overlaps, strict=True)]
+        begun = [place for place in self.places if place.aligned is not None]
+        fresh += [place for place in self.places if place.aligned is None]
+        apart = self._describe(fresh, begun)
+        kept: list[int] = []
+        for k in sorted(range(len(fresh)), key=lambda k: -fresh[k].rough):
+            if apart[k, [*kept, *range(len(fresh), len(fresh) + len(begun))]].all():
+                kept.append(k)
+        self.places = [*begun, *(fresh[k] for k in kept)]
 
-    def _is_new(self, candidate: RankedCandidate, chosen: Sequence[RankedCandidate]) -> bool:
-        T = candidate.T_map_local
-        return all(self._apart(T, other.T_map_local) for other in chosen)
+    def _describe(self, places: Sequence[Trial], others: Sequence[Trial]) -> Bools:
+        """Update what is known of places before alignment, beside others.
 
-    def _take(self, fit: Observation) -> None:
-        """Keep the better of two fits at one place."""
-        same = [f for f in self.fits if not self._apart(f.T_map_local, fit.T_map_local)]
-        if all(fit.overlap > f.overlap for f in same):
-            self.fits = [f for f in self.fits if f not in same] + [fit]
+        Return which are apart, (N, N + M).
+        """
+        every = [*places, *others]
+        poses = np.stack([place.T_map_local for place in every])
+        apart = self._separation.apart_from(poses[: len(places)], poses)
+        overlaps = np.array([place.overlap for place in every])
+        rivals = np.where(apart, overlaps, 0.0).max(axis=1)
+        elsewhere = self._most_elsewhere(poses[: len(places)])
+        for place, rival, most in zip(places, rivals.tolist(), elsewhere, strict=True):
+            place.measures = rough_measures(place.overlap, rival, place.inliers, most)
+            place.expect(self._model)
+        return apart
 
-    def _most_elsewhere(self, candidates: Sequence[Candidate], T: Pose) -> int:
-        """Return the most inliers of any candidate at another place."""
-        by_inliers = sorted(candidates, key=lambda c: -c.inliers)
-        return next((c.inliers for c in by_inliers if self._apart(c.T_map_local, T)), 0)
+    def _merge(self, place: Trial) -> None:
+        """Keep the better of two that were measured at one place."""
+        for other in self._same(place):
+            worse = min(place, other, key=_merit)
+            self.places = [each for each in self.places if each is not worse]
+            if worse is place:
+                return
 
-    def _scored(self, fit: Observation, unknown: Count) -> ScoredPose:
-        apart, T = self._apart, fit.T_map_local
-        others = [f for f in self.fits if f is not fit and apart(f.T_map_local, T)]
-        inliers = max([self._most_elsewhere(self._candidates, T), *(f.inliers for f in others)])
-        return self._likelihood.scored(fit, self._model.features(fit, others, inliers, unknown))
+    def _same(self, place: Trial) -> list[Trial]:
+        """Return the other places that are the same."""
+        others = [other for other in self.places if other is not place]
+        if not others:
+            return []
+        poses = np.stack([other.T_map_local for other in others])
+        apart = self._separation.apart_from(place.T_map_local[None], poses)[0]
+        return [other for other, far in zip(others, apart, strict=True) if not far]
+
+    def _leader(self) -> Trial | None:
+        """Return the most probable place of those measured to the end."""
+        done = [place for place in self.places if place.scored is not None]
+        return max(done, key=lambda place: place.log_ratio, default=None)
+
+    def _score(self) -> None:
+        """Score all places measured to the end, each beside the others."""
+        done = [place for place in self.places if place.fit is not None]
+        if not done:
+            return
+        poses = np.stack([place.T_map_local for place in done])
+        apart, elsewhere = self._separation.apart_from(poses, poses), self._most_elsewhere(poses)
+        there = np.stack([T for T, _ in self._rivals])
+        rival_apart = self._separation.apart_from(poses, there)
+        for k, place in enumerate(done):
+            assert place.fit is not None
+            others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
+            inliers = max([elsewhere[k], *(other.inliers for other in others)])
+            walls = min(self._walls_over(place.fit, other) for other in (None, *others))
+            rivals = [m for (_, m), away in zip(self._rivals, rival_apart[k], strict=True) if away]
+            features = features_of(place.fit, rivals, inliers, walls)
+            place.scored = self._likelihood.scored(place.fit, features)
+
+    def _walls_over(self, fit: Observation, other: Observation | None) -> float:
+        """Compare the walls of two fits, or with chance, once."""
+        pair = id(fit), id(other)
+        if pair not in self._compared:
+            self._compared[pair] = walls_over(fit.walls, None if other is None else other.walls)
+        return self._compared[pair]
+
+    def _most_elsewhere(self, poses: Float64) -> list[int]:
+        """Return the most inliers of any candidate at another place than each of (N, 4, 4)."""
+        apart = self._separation.apart_from(poses, self._candidates)
+        most: list[int] = np.where(apart, self._inliers_there, 0).max(axis=1, initial=0).tolist()
+        return most
 
 
-def by_segments(candidate: RankedCandidate) -> float:
-    """Sort key: inliers times overlap."""
-    return -candidate.inliers * candidate.overlap
-
-
-def by_clouds(candidate: RankedCandidate) -> float:
-    """Sort key: overlap times the seen share of the map in view."""
-    return -candidate.overlap * candidate.seen
-
-
-def by_overlap(candidate: RankedCandidate) -> float:
-    """Sort key: overlap."""
-    return -candidate.overlap
+def _merit(place: Trial) -> tuple[bool, bool, float]:
+    """Order of places that are the same: by how far they are measured, then by overlap."""
+    best = place.fit or place.aligned
+    overlap = place.overlap if best is None else best.overlap
+    return place.fit is not None, place.aligned is not None, overlap

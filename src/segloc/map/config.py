@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from ..descriptors import preset
 from ..errors import ConfigError
@@ -139,8 +140,17 @@ def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT |
     return unmounted(stored) if stored.method == method else None
 
 
-def _known(values: dict[str, object], model: type[BuildConfig]) -> dict[str, object]:
-    return {key: value for key, value in values.items() if key in model.model_fields}
+def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """Return the values of keys that this version knows, in sections too."""
+    known = {}
+    for key, value in values.items():
+        if (field := model.model_fields.get(key)) is None:
+            continue
+        kind = field.annotation
+        if isinstance(value, Mapping) and isinstance(kind, type) and issubclass(kind, BaseModel):
+            value = _known(value, kind)
+        known[key] = value
+    return known
 
 
 def unmounted(config: BuildConfigT) -> BuildConfigT:

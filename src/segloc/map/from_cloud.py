@@ -21,7 +21,7 @@ from ..errors import DatasetError
 from ..frontend.gravity import AttitudeConfig
 from ..frontend.segmentation import Segmenter, heights_above_ground
 from ..system.checks import MAX_LOCAL_METRES, checked_poses, point_rows
-from ..types import Float32, Float64, LocalCloud, Pose
+from ..types import Bools, Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
 from .cloud_frame import (
     LEVEL,
@@ -38,7 +38,6 @@ from .segment_map import CLOUD, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
 from .viewpoints import (
     AROUND_M,
     SPACING_M,
-    Bools,
     Ground,
     Occluders,
     Sight,

@@ -16,9 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..types import Float32, Float64, Int64
-
-Bools = NDArray[np.bool_]
+from ..types import Bools, Float32, Float64, Int64
 
 CELL_M, STEP_M = 0.5, 0.3
 """Cells of the ground, and the step between two of them that a sensor can take [m]."""

@@ -11,13 +11,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
 from ..map.segment_map import SegmentMap, along, concatenated, replaced
 from ..system.processes import all_of
-from ..types import Float64
+from ..types import Bools, Float64
 from .index import (
     FORMAT_VERSION,
     INDEX,
@@ -40,7 +39,6 @@ COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
 AT_ONCE = 64
 """Tiles in memory at a time."""
 
-Bools = NDArray[np.bool_]
 Cell = tuple[int, int]
 
 

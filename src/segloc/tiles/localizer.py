@@ -171,10 +171,10 @@ class TiledLocalizer(Localizer):
         strong = [
             tile
             for tile, votes in voted.items()
-            if not self.likelihood.segments_decide(best, votes)
+            if not self.likelihood.segments_suffice(best, votes)
         ][:MAX_VOTED]
         typical = int(np.median([c.inliers for c in found])) if found else 0
-        if len(strong) == 1 and self.likelihood.segments_decide(best, typical):
+        if len(strong) == 1 and self.likelihood.segments_suffice(best, typical):
             yield tuple(strong)
         agree: dict[Tile, int] = {}
         for some in (strong, list(voted)[:MAX_VOTED]):
@@ -187,12 +187,12 @@ class TiledLocalizer(Localizer):
     def _agreeing(self, agree: dict[Tile, int]) -> tuple[Tile, ...]:
         """Return the tiles that segments do not rule out; none if they may agree by chance."""
         best = max(agree.values(), default=0)
-        if not self.likelihood.segments_decide(best, 0):
+        if not self.likelihood.segments_suffice(best, 0):
             return ()
         return tuple(
             tile
             for tile, count in agree.items()
-            if not self.likelihood.segments_decide(best, count)
+            if not self.likelihood.segments_suffice(best, count)
         )
 
     def _voted(self, found: list[Candidate]) -> dict[Tile, int]:

@@ -21,9 +21,11 @@ from segloc import Config, Localizer
 from segloc.system.processes import in_parallel
 
 from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
-from .rows import HOME, World, errors, is_right, worlds_of
+from .rows import BARE, HOME, World, errors, is_right, worlds_of
 
 Answers = list[dict[str, Any]]
+WHOLE = ("single", "thinned", "accumulated")
+"""Queries of whole views: narrow and made ones are counted apart."""
 
 
 def answers_in(world: World, config: Config) -> dict[str, Any]:
@@ -31,19 +33,20 @@ def answers_in(world: World, config: Config) -> dict[str, Any]:
     places = {name: Localizer(prior_map, config) for name, prior_map in world.maps.items()}
     answers = []
     for n, made in enumerate(world.queries()):
-        for name in world.searched(n):
+        for name in world.searched(n, made):
             start = time.process_time()
             answer = places[name].localize(made.scans)
             taken = time.process_time() - start
             metres = degrees = None
-            if answer.T_map_sensor is not None and name in HOME:
-                metres, degrees = (round(e, 3) for e in errors(answer.T_map_sensor, made.truth))
+            truth = made.truth if name in HOME else None
+            if answer.T_map_sensor is not None and truth is not None:
+                metres, degrees = (round(e, 3) for e in errors(answer.T_map_sensor, truth))
             answers.append(
                 {
                     "query": n,
                     "made": made.kind,
                     "sensor": made.sensor,
-                    "map": name,
+                    "map": name if made.truth is not None else BARE,
                     "localized": answer.localized,
                     "error_m": metres,
                     "error_deg": degrees,
@@ -62,15 +65,12 @@ def flat(worlds: Sequence[dict[str, Any]]) -> Answers:
 
 
 def outcome(answer: dict[str, Any]) -> str:
-    """Classify an answer as found, false or refused.
-
-    Answers of before 0.4.0 have no heading: theirs counts as right.
-    """
+    """Classify an answer as found, false or refused."""
     if not answer["localized"]:
         return "refused"
     if answer["error_m"] is None:
         return "false"
-    return "found" if is_right(answer["error_m"], answer.get("error_deg", 0.0)) else "false"
+    return "found" if is_right(answer["error_m"], answer["error_deg"]) else "false"
 
 
 COLUMNS = ("queries", "answers of", "in their map", "found", "elsewhere", "false", "worlds")
@@ -142,13 +142,15 @@ def main() -> None:
     for _, answers in track(found, "worlds", total=len(left)):
         keep(args.out, answers)
     if not args.quiet:
-        runs = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
-        by = (("kind", "By kind"), ("map", "By map"), ("made", "By query"))
+        every = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
+        whole = {name: [a for a in run if a["made"] in WHOLE] for name, run in every.items()}
+        by = (("kind", "By kind"), ("map", "By map"))
         publish(
             args.report,
             "Answers in sealed worlds",
-            summary(runs),
-            *(table(runs, name, title) for name, title in by),
+            summary(whole),
+            *(table(whole, name, title) for name, title in by),
+            table(every, "made", "By query, narrow and made views too"),
         )
 
 

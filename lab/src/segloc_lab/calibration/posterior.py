@@ -28,16 +28,20 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
 from segloc.inspect import GREEN, PATH, RED
-from segloc.likelihood import FEATURES, FREE, Count, VerificationConfig, shipped_model
+from segloc.likelihood import FEATURES, Count, Evidence, VerificationConfig
+from segloc.likelihood.model import CHANCE_RIVAL, Promise, features_of
+from segloc.likelihood.scorer import RIVALS
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
-from .rows import HOME, MAPS, MEASURES, Rows, is_right
+from .rows import ALIGNED, HOME, MAPS, MEASURES, ROUGH, Rows, is_right
 from .worlds import KINDS
 
 RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
+REPEATED = 4
+"""Fits until the rivals stay the same."""
 FOLDS = 12
 KEPT = Path(__file__).with_name("posterior-rows.npz")
 """Rows to which the shipped weights were fitted."""
@@ -48,39 +52,36 @@ CONFIDENCES = (0.8, 0.9, 0.95, 0.99, 0.999)
 ALIKE = ("offices", "warehouse")
 """Kinds of worlds whose parts repeat."""
 _COLUMN = {name: k for k, name in enumerate(MEASURES)}
+_BEFORE = [_COLUMN[name] for name in ROUGH + ALIGNED]
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A measured pose as the model reads it; ``intruding`` is None where it was not measured."""
+    """A measured pose as the model reads it."""
 
     inliers: int
-    overlap: float
+    known: Evidence
     seen: Count
     ground: Count
     flush: Count
-    intruding: Count | None
+    inside: Count
 
     @classmethod
-    def of(cls, row: Float32) -> Fit:
+    def of(cls, row: list[float]) -> Fit:
         """Read a row of measures."""
-        seen, ground, flush, intruding = (
-            Count(*np.nan_to_num(row[[_COLUMN[hits], _COLUMN[of]]]).astype(int).tolist())
-            for hits, of in (
-                ("seen", "in_view"),
-                ("ground", "ground_of"),
-                ("flush", "flush_of"),
-                ("intruding", "standing"),
-            )
-        )
-        inliers, overlap = int(row[_COLUMN["inliers"]]), float(row[_COLUMN["overlap"]])
-        known = bool(np.isfinite(row[_COLUMN["standing"]]))
-        return cls(inliers, overlap, seen, ground, flush, intruding if known else None)
 
-    def has(self, name: str) -> bool:
-        """Return whether a measure is known."""
-        return getattr(self, name) is not None
+        def counts(*names: str) -> list[int]:
+            return [int(row[_COLUMN[name]]) for name in names]
+
+        return cls(
+            int(row[_COLUMN["inliers"]]),
+            Evidence(*counts("known_on", "known_off", "known_of")),
+            Count(*counts("seen", "in_view")),
+            Count(*counts("ground", "ground_of")),
+            Count(*counts("flush", "flush_of")),
+            Count(*counts("inside", "inside_of")),
+        )
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,9 @@ class Records:
     Attributes
     ----------
     features : (R, M, K) float64
-        Zero where there is no pose.
+        Zero where there is no pose. Those of :data:`segloc.likelihood.FEATURES` beside no rival.
+    before : (R, M, 5) float64
+        What was known before the measurement: three numbers before alignment, two after.
     poses, right, false : (R, M) bool
         Whether there is a pose, whether it is right, and whether it would be a false answer.
     world, kind, place : (R,)
@@ -98,6 +101,7 @@ class Records:
     """
 
     features: Float64
+    before: Float64
     poses: Mask
     right: Mask
     false: Mask
@@ -109,7 +113,7 @@ class Records:
         return len(self.world)
 
     def __getitem__(self, chosen: Mask) -> Records:
-        names = ("features", "poses", "right", "false", "world", "kind", "place")
+        names = ("features", "before", "poses", "right", "false", "world", "kind", "place")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
@@ -124,28 +128,88 @@ def records_of(rows: Rows) -> Records:
     """Compute the features of all poses, query by query."""
     count, most = len(rows), int(np.diff(rows.spans).max(initial=1))
     features = np.zeros((count, most, len(FEATURES)))
+    before = np.zeros((count, most, len(_BEFORE)))
     poses, right, false = (np.zeros((count, most), bool) for _ in range(3))
     for k, (first, end) in enumerate(track(rows.spans, "features")):
         fits, n = rows.fits[first:end], end - first
-        features[k, :n] = described(fits)
+        features[k, :n], before[k, :n] = described(fits), fits[:, _BEFORE]
         error, turned = fits[:, _COLUMN["error_m"]], fits[:, _COLUMN["error_deg"]]
         found = is_right(error, turned) & (rows.place[k] in HOME)
         poses[k, :n], right[k, :n], false[k, :n] = True, found, ~found
     names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
     world = np.array([names[name] for name in rows.world])
     kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])
-    return Records(features, poses, right, false, world, kind, rows.place)
+    return Records(features, before, poses, right, false, world, kind, rows.place)
 
 
 def described(rows: Float32) -> Float64:
-    """Compute the features of the poses of one query in one map, (N, K)."""
-    model, fits = shipped_model(), [Fit.of(row) for row in rows]
-    elsewhere = rows[:, _COLUMN["elsewhere"]]
+    """Compute the features of the poses of one query in one map beside no rival, (N, K)."""
     features = [
-        model.features(fit, [f for f in fits if f is not fit], int(most), FREE)  # type: ignore
-        for fit, most in zip(fits, elsewhere, strict=True)
+        features_of(Fit.of(row), (), int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]])
+        for row in rows.tolist()
     ]
     return np.array(features, np.float64).reshape(-1, len(FEATURES))
+
+
+def beside_rivals(records: Records, rough: Promise) -> Records:
+    """Compare each pose with the rival among the most promising ones, as a scorer does."""
+    promise = np.where(records.poses, _known(records.before, len(ROUGH)) @ rough.weights, -np.inf)
+    rank = (-promise).argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+    overlap, seen = (records.before[..., len(ROUGH) + k] for k in range(2))
+    chance, none = CHANCE_RIVAL
+    met = np.where(records.poses & (rank < RIVALS), overlap, -np.inf)
+    order = (-met).argsort(axis=1, kind="stable")[:, :2]
+    features = records.features.copy()
+    here = np.arange(records.poses.shape[1])
+    best = np.where(here == order[:, :1], order[:, 1:], order[:, :1])
+    odds = np.take_along_axis(met, best, axis=1)
+    fits = odds > chance
+    rival_seen = np.where(fits, np.take_along_axis(seen, best, axis=1), none)
+    features[..., FEATURES.index("known_over_rival")] -= np.where(fits, odds, chance) - chance
+    features[..., FEATURES.index("seen_over_rival")] -= np.maximum(rival_seen, none) - none
+    return replace(records, features=features * records.poses[..., None])
+
+
+def fitted(records: Records) -> tuple[Records, Float64, dict[str, Promise]]:
+    """Fit the weights, and what a place promises; return also the features beside rivals.
+
+    Which places are rivals depends on the promise, and that on the weights: both are repeated.
+    """
+    promise = promises(records, records.right[records.poses])["rough"]
+    for _ in range(REPEATED):
+        beside = beside_rivals(records, promise)
+        weights = fit(beside)
+        log_ratio = (beside.features @ weights[:-1] - weights[-1])[records.poses]
+        found = promises(records, log_ratio > 0.0)
+        promise = found["rough"]
+    return beside, weights, found
+
+
+def promises(records: Records, competes: Mask) -> dict[str, Promise]:
+    """Fit what is known before the measurement to whether poses compete."""
+    found = {}
+    for name, count in (("rough", len(ROUGH)), ("aligned", len(ROUGH + ALIGNED))):
+        weights = logistic_regression(_known(records.before, count)[records.poses], competes)
+        found[name] = Promise(weights=tuple(round(float(w), 3) for w in weights))
+    return found
+
+
+def _known(before: Float64, count: int) -> Float64:
+    """Return a constant and the first measures, (..., 1 + count)."""
+    return np.concatenate([np.ones((*before.shape[:-1], 1)), before[..., :count]], axis=-1)
+
+
+def logistic_regression(x: Float64, y: Mask) -> Float64:
+    """Fit the log-odds of ``y`` to columns of which the first is constant."""
+    scale = np.append(1.0, x[:, 1:].std(axis=0) + 1e-9)
+    z = x / scale
+
+    def loss(w: Float64) -> tuple[float, Float64]:
+        score = z @ w
+        value = np.logaddexp(0.0, score).sum() - score[y].sum() + RIDGE * (w[1:] ** 2).sum()
+        return float(value), z.T @ (expit(score) - y) + 2 * RIDGE * np.append(0.0, w[1:])
+
+    return np.asarray(minimize(loss, np.zeros(z.shape[1]), jac=True, method="L-BFGS-B").x / scale)
 
 
 def fit(records: Records, start: Float64 | None = None) -> Float64:
@@ -343,11 +407,12 @@ def card(records: Records, decisions: Decisions, rows: Rows) -> dict[str, Any]:
     }
 
 
-def write(path: Path, weights: Float64, card: dict[str, Any]) -> None:
-    """Replace the weights and the card in a file of the model."""
+def write(path: Path, weights: Float64, promised: dict[str, Promise], card: dict[str, Any]) -> None:
+    """Replace the weights, the intervals and the card in a file of the model."""
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
     model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
+    model |= {name: promise.model_dump() for name, promise in promised.items()}
     path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
@@ -368,7 +433,7 @@ def main() -> None:
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
-    records = records_of(rows)
+    records, weights, promised = fitted(records_of(rows))
     decisions = held_out(records, folds(records))
     apart = told_apart(records)
     runs = {
@@ -376,7 +441,6 @@ def main() -> None:
         "kinds": (records, held_out(records, records.kind)),
         "worlds, without half halls": (records[apart], decisions[apart]),
     }
-    weights = fit(records)
     publish(
         args.report,
         "Fit of the posterior",
@@ -389,7 +453,7 @@ def main() -> None:
     if args.figure is not None:
         draw(decisions, args.figure)
     if args.out is not None:
-        write(args.out, weights, card(records, decisions, rows))
+        write(args.out, weights, promised, card(records, decisions, rows))
 
 
 if __name__ == "__main__":

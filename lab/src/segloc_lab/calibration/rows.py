@@ -22,40 +22,50 @@ from numpy.typing import ArrayLike, NDArray
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap
+from segloc.likelihood.model import aligned_measures, walls_over
 from segloc.proposals import Query
 from segloc.types import Float32, Float64, Int64, Pose
 
 from ..outcomes import pose_error
 from ..padding import mirrored, padded
 from ..script import parser
-from .worlds import KINDS, Made, generated, kind_of, load_queries
+from .worlds import KINDS, Made, bare, generated, kind_of, load_queries, seed_of
 
 PADDED = 60_000
 """Segments of a padded map."""
 MAPS = ("own", "half", "mirrored", "padded", "same kind", "other kind")
 ALTERNATE = ({"mirrored"}, {"padded", "other kind"})
 """Maps in which only even and only odd queries are searched."""
+BARE = "bare"
+"""Place of made views, which are searched in the own map."""
 HOME = ("own", "half", "padded")
 """Maps in which a query may have a right pose."""
+ROUGH, ALIGNED = ("rough_odds", "rough_over", "rough_inliers"), ("aligned_odds", "aligned_seen")
+"""What is known of a pose before alignment, and after alignment with some of the points."""
 MEASURES = (
     "error_m",
     "error_deg",
     "inliers",
     "elsewhere",
-    "overlap",
-    "rmse",
     "seen",
     "in_view",
     "ground",
     "ground_of",
     "flush",
     "flush_of",
-    "intruding",
-    "standing",
+    "known_on",
+    "known_off",
+    "known_of",
+    "inside",
+    "inside_of",
+    "walls",
+    *ROUGH,
+    *ALIGNED,
 )
 """Columns of the fits: error of the pose (NaN in maps of other places), segments that agree with it
-and at most with a pose elsewhere, overlap, residual [m], and counts of points with their totals."""
-DECIMALS = {"error_m": 2, "error_deg": 1, "overlap": 4, "rmse": 3}
+and at most with a pose elsewhere, counts of points with their totals, walls against those of the
+other poses, and what was known before the measurement."""
+DECIMALS = {"error_deg": 1} | dict.fromkeys(("error_m", "walls", *ROUGH, *ALIGNED), 2)
 """Decimals that are kept of measures that are no counts."""
 
 
@@ -129,9 +139,13 @@ class World:
         self.kind = kind_of(folder)
 
     def queries(self) -> Iterator[Made]:
-        """Yield all queries, drive by drive."""
-        for each in load_queries(self._folder / "queries.npz"):
+        """Yield all queries, drive by drive, then narrow views, then made ones."""
+        drives = load_queries(self._folder / "queries.npz")
+        for each in drives:
             yield from each
+        for each in drives:
+            yield from each.narrow()
+        yield from bare(seed_of(self._folder))
 
     @cached_property
     def maps(self) -> dict[str, SegmentMap]:
@@ -144,8 +158,10 @@ class World:
         other = SegmentMap.load(self._other / "own.segmap")
         return found | {"same kind": same, "other kind": other}
 
-    def searched(self, query: int) -> list[str]:
+    def searched(self, query: int, made: Made) -> list[str]:
         """List the maps in which a query, by its number, is searched."""
+        if made.truth is None:
+            return ["own"]
         return [name for name in self.maps if name not in ALTERNATE[1 - query % 2]]
 
 
@@ -170,11 +186,11 @@ def collect(world: World, config: Config) -> Rows:
     records: list[tuple[int, str, str, str, str]] = []
     for n, made in enumerate(world.queries()):
         query = places["own"].describe(made.scans)
-        for name in world.searched(n):
-            localizer = places[name]
+        for name in world.searched(n, made):
             truth = made.truth if name in HOME else None
-            fits.append(measured(localizer, query, truth))
-            records.append((n, world.name, name, made.sensor, made.kind))
+            fits.append(measured(places[name], query, truth))
+            place = name if made.truth is not None else BARE
+            records.append((n, world.name, place, made.sensor, made.kind))
     ends = np.cumsum([len(rows) for rows in fits])
     spans = np.column_stack([np.concatenate([[0], ends[:-1]]), ends])
     columns = map(np.array, zip(*records, strict=True))
@@ -184,15 +200,20 @@ def collect(world: World, config: Config) -> Rows:
 def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
     """Measure a query in a map at all distinct poses that are compared there, (F, M)."""
     found = localizer.search(query, thorough=True)
+    places = [place for place in found.places if place.fit is not None]
     apart = localizer.likelihood.separation.apart
     rows = []
-    for fit in found.fits:
-        T = fit.T_map_local
+    for place in places:
+        T, fit = place.T_map_local, place.fit
+        assert fit is not None and place.aligned is not None
         error = errors(T @ query.cloud.T_local_sensor, truth)
-        others = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
-        others += [o.inliers for o in found.fits if apart(o.T_map_local, T)]
-        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.intruding)
-        rows.append((*error, fit.inliers, max(others, default=0), fit.overlap, fit.rmse, *counts))
+        far = [p.fit for p in places if p.fit is not None and apart(p.T_map_local, T)]
+        elsewhere = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
+        most = max([*elsewhere, *(other.inliers for other in far)], default=0)
+        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.known, *fit.inside)
+        walls = min([walls_over(fit.walls), *(walls_over(fit.walls, o.walls) for o in far)])
+        before = (*place.measures, *aligned_measures(place.aligned))
+        rows.append((*error, fit.inliers, most, *counts, walls, *before))
     return np.array(rows, np.float64).reshape(-1, len(MEASURES))
 
 

@@ -42,6 +42,7 @@ from ..simulation import (
     handheld,
     simulate_sessions,
 )
+from ..simulation.bare_views import VIEWS, view
 
 LENGTH_M = 90.0
 """Length of each drive [m]."""
@@ -51,6 +52,10 @@ AZIMUTHS = 900
 """Firings of each beam in a turn."""
 MAX_THINNED = 6_400
 """Points of a thinned scan."""
+NARROW_DEG, SHORT_M = (20.0, 90.0), (5.0, 10.0, 20.0, 40.0)
+"""Fields of view and ranges of narrow views [deg, m]."""
+BARE_VIEWS = 4
+"""Made views of each kind in a world."""
 SCANS_IN_MEMORY = 64
 LATER = Conditions(foliage=0.6, replaced=0.2)
 UNSHARP_M, UNSHARP_DEG = 0.04, 0.15
@@ -141,6 +146,24 @@ def thinned(points: Float32, seed: int) -> Float32:
     return points[kept]
 
 
+def narrowed(points: Float32, seed: int) -> Float32:
+    """Return what a sensor of a narrow field of view and a short range sees of a scan."""
+    rng = np.random.default_rng([seed, len(points)])
+    middle, width = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(*NARROW_DEG))
+    off = np.arctan2(points[:, 1], points[:, 0]) - middle
+    aside = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi)
+    near = np.linalg.norm(points, axis=1) < rng.choice(SHORT_M)
+    seen: Float32 = points[near & (aside < width / 2.0)]
+    return seen
+
+
+def bare(seed: int) -> Iterator[Made]:
+    """Yield made views that fix no place."""
+    for name in VIEWS:
+        for n in range(BARE_VIEWS):
+            yield Made("", "bare", [Scan(view(name, 1000 * seed + n))], None)
+
+
 def first_half(drive: SimulatedSequence) -> SimulatedSequence:
     """Return the first half of a drive's scans."""
     last = drive.indices[len(drive) // 2 - 1]
@@ -166,14 +189,14 @@ class Made:
     ----------
     scans : list of Scan
         One scan without a pose, or consecutive ones with odometry poses.
-    truth : (4, 4) float64
-        T_map_sensor of the last scan.
+    truth : (4, 4) float64 or None
+        T_map_sensor of the last scan; None of a view of no place.
     """
 
     sensor: str
     kind: str
     scans: list[Scan]
-    truth: Pose
+    truth: Pose | None
 
 
 @dataclass(frozen=True)
@@ -233,6 +256,13 @@ class QuerySet:
             else:
                 points = thinned(self._scan(last), int(seed))
                 yield Made(self.sensor, "thinned", [Scan(points)], truth)
+
+    def narrow(self) -> Iterator[Made]:
+        """Yield narrow views of the scans that are thinned."""
+        for (_, last), seed in zip(self.spans, self.thinning, strict=True):
+            if seed >= 0:
+                points = narrowed(self._scan(last), int(seed))
+                yield Made(self.sensor, "narrow", [Scan(points)], self.truth[last])
 
     def _scan(self, i: int) -> Float32:
         return self.points[self.offsets[i] : self.offsets[i + 1]]

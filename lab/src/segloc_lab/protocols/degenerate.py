@@ -1,0 +1,73 @@
+r"""Views that fix no place: a wall, a wall and its floor, a piece of corridor, a corner, a floor.
+
+They are made (:mod:`..simulation.bare_views`), and lie in no map: each that is localized is false.
+
+    python -m segloc_lab.protocols.degenerate MAPS/*.segmap --each 200 --report reports/degenerate
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.progress import track
+
+from segloc import Config, Localizer, Scan, SegmentMap
+from segloc.system.processes import in_parallel
+
+from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
+from ..simulation.bare_views import VIEWS, view
+
+
+def answers_in(path: Path, each: int) -> dict[str, Any]:
+    """Localize the views in a map."""
+    localizer = Localizer(SegmentMap.load(path), Config(threads=1))
+    answers = []
+    for name in VIEWS:
+        for seed in range(each):
+            start = time.process_time()
+            found = localizer.localize(Scan(view(name, seed)))
+            ms = round(1000 * (time.process_time() - start), 1)
+            reason = found.reason and found.reason.name
+            answers.append(
+                {"view": name, "seed": seed, "reason": reason, "ms": ms}
+                | {"confidence": found.confidence}
+            )
+    return {"map": path.stem if path.stem != "own" else path.parent.name, "answers": answers}
+
+
+def table(found: list[dict[str, Any]]) -> Table:
+    """Count the views that were localized, by kind and map."""
+    rows: list[tuple[Cell, ...]] = []
+    flat = [{**a, "map": each["map"]} for each in found for a in each["answers"]]
+    for by in ("view", "map"):
+        for value in dict.fromkeys(a[by] for a in flat):
+            here = [a for a in flat if a[by] == value]
+            false = [a for a in here if a["reason"] is None]
+            most = max(a["confidence"] for a in here)
+            rows.append((value, len(here), len(false), f"{most:.4f}"))
+    count = sum(a["reason"] is None for a in flat)
+    rows.append(("all", len(flat), count, f"{max(a['confidence'] for a in flat):.4f}"))
+    note = f"At most {100 * wilson(count, len(flat))[1]:.3f} % by Wilson's 95 % interval."
+    return Table(("view or map", "views", "localized", "largest confidence"), rows, note)
+
+
+def main() -> None:
+    options = reporting(__doc__)
+    options.add_argument("maps", type=Path, nargs="+")
+    options.add_argument("--each", type=int, default=200, help="views of each kind in each map")
+    options.add_argument("--out", type=Path, default=Path("degenerate.jsonl"))
+    options.add_argument("--workers", type=int, default=1, help="processes")
+    args = options.parse_args()
+    done = len(list(earlier(args.out)))
+    left = args.maps[done:]
+    found = in_parallel(partial(answers_in, each=args.each), left, args.workers)
+    for _, answers in track(found, "maps", total=len(left)):
+        keep(args.out, answers)
+    publish(args.report, "Views that fix no place", table(entries(args.out)))
+
+
+if __name__ == "__main__":
+    main()
