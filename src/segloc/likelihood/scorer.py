@@ -18,8 +18,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
-RIVALS = 4
-"""Most promising places, which are always aligned: each pose is compared with the best of them."""
+_MORE = 4
+"""Further places that may be aligned: those about the best one."""
 
 Inliers = Callable[[Pose], int]
 """Counts the distinct query segments that agree with a pose T_map_local."""
@@ -247,7 +247,7 @@ class Scorer:
         first = max(self.places, key=lambda place: place.rough)
         start = self._surround(first)
         self._rivals = []
-        for place in sorted(self.places, key=lambda place: -place.rough)[:RIVALS]:
+        for place in sorted(self.places, key=lambda place: -place.rough)[: self._config.max_places]:
             if place.aligned is None:
                 self._align(place, start if place is first else None)
             assert place.aligned is not None
@@ -259,7 +259,7 @@ class Scorer:
     def _next(self, thorough: bool) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""
         begun = sum(place.aligned is not None for place in self.places)
-        may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places)
+        may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places + _MORE)
         left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
         if thorough:
             fresh = [place for place in left if place.aligned is None]

@@ -30,7 +30,6 @@ from scipy.special import expit, logit, logsumexp
 from segloc.inspect import GREEN, PATH, RED
 from segloc.likelihood import FEATURES, Count, Evidence, VerificationConfig
 from segloc.likelihood.model import CHANCE_RIVAL, Promise, features_of
-from segloc.likelihood.scorer import RIVALS
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
@@ -157,7 +156,7 @@ def beside_rivals(records: Records, rough: Promise) -> Records:
     rank = (-promise).argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
     overlap, seen = (records.before[..., len(ROUGH) + k] for k in range(2))
     chance, none = CHANCE_RIVAL
-    met = np.where(records.poses & (rank < RIVALS), overlap, -np.inf)
+    met = np.where(records.poses & (rank < VerificationConfig().max_places), overlap, -np.inf)
     order = (-met).argsort(axis=1, kind="stable")[:, :2]
     features = records.features.copy()
     here = np.arange(records.poses.shape[1])
