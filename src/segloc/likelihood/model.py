@@ -130,23 +130,22 @@ def features_of(
     fit : Measured
     rivals : sequence of (overlap, seen)
         :func:`aligned_measures` of the other places among the most promising ones. The pose is
-        compared with the one that overlaps most, or with chance if that is higher: a place that
-        fits no better than chance says nothing.
+        compared with the one that overlaps most, or with chance if that is higher. The less that
+        one fits, the less it says about how much of a map is seen anywhere.
     inliers : int
         Most inliers of any pose at another place.
     walls : float
         Least :func:`walls_over` of chance and of each other place that was measured to the end.
     """
     overlap, seen = max(rivals, key=lambda rival: rival[0], default=CHANCE_RIVAL)
-    if overlap <= CHANCE_RIVAL[0]:
-        overlap, seen = CHANCE_RIVAL
+    likely = 1.0 / (1.0 + math.exp(-2.0 * (overlap - CHANCE_RIVAL[0])))
     return (
         surface_odds(fit.flush),
         surface_odds(fit.ground),
         free_space(fit.inside),
         inlier_ratio(fit.inliers, inliers),
-        known_odds(fit.known) - overlap,
-        fit.seen.log_odds(_SEEN_PRIOR) - max(seen, CHANCE_RIVAL[1]),
+        known_odds(fit.known) - max(overlap, CHANCE_RIVAL[0]),
+        fit.seen.log_odds(_SEEN_PRIOR) - likely * max(seen, CHANCE_RIVAL[1]),
         walls,
     )
 

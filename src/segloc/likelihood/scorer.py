@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
+_FIRST = 2
+"""Candidates of each proposer that are among the promising ones, by its own order."""
 _MORE = 4
 """Further places that may be aligned: those about the best one."""
 
@@ -121,6 +124,8 @@ class Trial:
         Number of distinct query segments that agree with the pose.
     overlap : float
         Overlap before alignment.
+    rank : int
+        Number of better candidates by its own proposer.
     measures : tuple of float
         What is known before alignment, by :func:`rough_measures`.
     aligned : Aligned or None
@@ -136,6 +141,7 @@ class Trial:
     T_map_local: Pose
     inliers: int
     overlap: float
+    rank: int
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
     fit: Observation | None = None
@@ -205,7 +211,12 @@ class Scorer:
             self._inliers_there = np.array([c.inliers for c in candidates])
         for place in self.places:
             self._count(place)
-        self._consider([(c.T_map_local, c.inliers) for c in candidates])
+        count = Counter[str]()
+        poses = list[tuple[Pose, int, int]]()
+        for c in candidates:
+            poses.append((c.T_map_local, c.inliers, count[c.proposer]))
+            count[c.proposer] += 1
+        self._consider(poses)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""
@@ -247,7 +258,8 @@ class Scorer:
         first = max(self.places, key=lambda place: place.rough)
         start = self._surround(first)
         self._rivals = []
-        for place in sorted(self.places, key=lambda place: -place.rough)[: self._config.max_places]:
+        promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
+        for place in promising[: self._config.max_places]:
             if place.aligned is None:
                 self._align(place, start if place is first else None)
             assert place.aligned is not None
@@ -316,15 +328,15 @@ class Scorer:
         self._surrounded.append(place.T_map_local)
         around = self._map.around(place.T_map_local, self._query)
         near = [T for T in around.rivals if self._allowed(T)]
-        self._consider([(T, self._inliers(T)) for T in near])
+        self._consider([(T, self._inliers(T), _FIRST) for T in near])
         return around.start
 
-    def _consider(self, poses: Sequence[tuple[Pose, int]]) -> None:
-        """Add poses with their inliers, the most promising at each place."""
+    def _consider(self, poses: Sequence[tuple[Pose, int, int]]) -> None:
+        """Add poses with their inliers and ranks, the most promising at each place."""
         if not poses:
             return
-        overlaps = self._map.rough_overlap([T for T, _ in poses], self._query)
-        fresh = [Trial(T, n, o) for (T, n), o in zip(poses, overlaps, strict=True)]
+        overlaps = self._map.rough_overlap([T for T, *_ in poses], self._query)
+        fresh = [Trial(T, n, o, k) for (T, n, k), o in zip(poses, overlaps, strict=True)]
         begun = [place for place in self.places if place.aligned is not None]
         fresh += [place for place in self.places if place.aligned is None]
         apart = self._describe(fresh, begun)

@@ -162,10 +162,10 @@ def beside_rivals(records: Records, rough: Promise) -> Records:
     here = np.arange(records.poses.shape[1])
     best = np.where(here == order[:, :1], order[:, 1:], order[:, :1])
     odds = np.take_along_axis(met, best, axis=1)
-    fits = odds > chance
-    rival_seen = np.where(fits, np.take_along_axis(seen, best, axis=1), none)
-    features[..., FEATURES.index("known_over_rival")] -= np.where(fits, odds, chance) - chance
-    features[..., FEATURES.index("seen_over_rival")] -= np.maximum(rival_seen, none) - none
+    likely = expit(2.0 * (odds - chance))
+    rival_seen = np.maximum(np.take_along_axis(seen, best, axis=1), none)
+    features[..., FEATURES.index("known_over_rival")] -= np.maximum(odds, chance) - chance
+    features[..., FEATURES.index("seen_over_rival")] -= likely * rival_seen
     return replace(records, features=features * records.poses[..., None])
 
 
