@@ -33,7 +33,7 @@ from segloc.likelihood.model import CHANCE_RIVAL, Promise, features_of
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson
-from .rows import ALIGNED, HOME, MAPS, MEASURES, ROUGH, Rows, is_right
+from .rows import ALIGNED, BARE, HOME, MAPS, MEASURES, ROUGH, Rows, is_right
 from .worlds import KINDS
 
 RIDGE = 0.2
@@ -318,7 +318,7 @@ def confidence_table(runs: dict[str, tuple[Records, Decisions]]) -> Table:
 
 def false_table(records: Records, decisions: Decisions, confidence: float) -> Table:
     """Count what is found and false at a confidence, of each map and kind of world."""
-    parts = [(name, records.place == name) for name in MAPS]
+    parts = [(name, records.place == name) for name in (*MAPS, BARE)]
     parts += [(name, records.kind == name) for name in KINDS]
     limit = logit(confidence)
     rows = [(name, *_counted(records[here], decisions[here], limit)) for name, here in parts]
