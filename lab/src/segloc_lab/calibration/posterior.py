@@ -28,8 +28,15 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
 from segloc.inspect import GREEN, PATH, RED
-from segloc.likelihood import FEATURES, Count, Evidence, VerificationConfig
-from segloc.likelihood.model import CHANCE_RIVAL, Promise, features_of
+from segloc.likelihood import (
+    CHANCE_RIVAL,
+    FEATURES,
+    Count,
+    Evidence,
+    Promise,
+    VerificationConfig,
+    features_of,
+)
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.likelihood.model import aligned_measures, walls_over
+from segloc.likelihood import aligned_measures, walls_over
 from segloc.proposals import Query
 from segloc.types import Float32, Float64, Int64, Pose
 

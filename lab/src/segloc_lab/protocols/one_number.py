@@ -16,8 +16,7 @@ import numpy as np
 from rich.progress import track
 
 from segloc import Config, Localizer
-from segloc.likelihood import shipped_model
-from segloc.likelihood.posterior import log_odds
+from segloc.likelihood import log_odds, shipped_model
 from segloc.localization import Reason
 from segloc.system.processes import in_parallel
 
