@@ -1,5 +1,7 @@
 // Registration at every size from nothing up.
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 
 #include "likelihood/gicp.h"
 #include "likelihood/surface.h"
@@ -73,13 +75,17 @@ void points_on_a_plane() {
     Rigid raised;
     raised.t = {0.0, 0.0, 0.25};
     const Slope level{0.9, 2.0}, steep{-1.0, 0.3};
-    const OnPlane within = on_plane(plane, plane, raised, 1, level, 0.3);
-    CHECK(within.hits == within.of && within.of <= n);
-    CHECK(n < 4000 || within.of > n * 9 / 10);
-    CHECK(on_plane(plane, plane, raised, 1, level, 0.2).hits == 0);
-    CHECK(on_plane(plane, plane, raised, 1, steep, 0.3).of == 0);
+    const auto number = [&](const Slope& slope, double tolerance, OnPlane code) {
+      const auto codes = on_plane(plane, plane, raised, 1, slope, tolerance);
+      CHECK(codes.size() == n);
+      return std::size_t(std::count(codes.begin(), codes.end(), std::uint8_t(code)));
+    };
+    CHECK(number(level, 0.3, OnPlane::kOff) == 0);
+    CHECK(n < 4000 || number(level, 0.3, OnPlane::kOn) > n * 9 / 10);
+    CHECK(number(level, 0.2, OnPlane::kOn) == 0);
+    CHECK(number(steep, 0.3, OnPlane::kOther) == n);
     raised.t = {0.0, 0.0, 50.0};
-    CHECK(on_plane(plane, plane, raised, 1, level, 0.3).of == 0);
+    CHECK(number(level, 0.3, OnPlane::kOn) == 0 && number(level, 0.3, OnPlane::kOff) == 0);
   }
 }
 
