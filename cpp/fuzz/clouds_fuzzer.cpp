@@ -56,7 +56,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   attempt([&] {
     const segloc::PointIndex index(points.data(), n, length);
     const double T[16] = {0, -1, 0, 3, 1, 0, 0, -2, 0, 0, 1, 1e14, 0, 0, 0, 1};
-    index.overlap(points.data(), n, T, length);
+    index.overlap(points.data(), n, T, length, true);
     const double views[6] = {0, 0, 0, 3, 4, -1e14};
     const segloc::KnownSpace known(index, views, 2, {});
     known.codes(points.data(), n, T, length);
