@@ -17,7 +17,7 @@ namespace segloc {
 enum class Known : std::uint8_t {
   kUnknown = 0,  // hidden from all viewpoints, or beyond their range
   kHit = 1,      // on the map
-  kThrough = 2,  // in space that a viewpoint looked through
+  kThrough = 2,  // in free space before what a viewpoint saw
   kMissed = 3,   // beside what a viewpoint saw there
 };
 
@@ -26,7 +26,7 @@ struct KnownSpaceOptions {
   double bin_deg = 2;         // width of a pixel of a range image, degrees
   double margin = 0.7;        // distance of free space before a map point, metres
   double half_width = 0.2;    // half width of a point of the thinned map, metres
-  std::size_t most = 8;       // viewpoints that are asked
+  std::size_t most = 8;       // nearest viewpoints used
   double storey = 1.5;        // height difference of a viewpoint on another storey, metres
   std::size_t images = 64;    // range images that are kept
 };

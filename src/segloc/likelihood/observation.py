@@ -52,7 +52,7 @@ _CLOSE_M, _SUPPORT_M = 1.0, 0.75
 _WALL_PATCH_M, _INSIDE_PATCH_M = 3.0, 0.75
 """Sides of the patches of walls that are compared as one, and of the query in free space."""
 UNKNOWN, HIT, THROUGH, MISSED = range(4)
-"""Codes of points: in unknown space, on the map, in space looked through, beside a surface."""
+"""Codes of points: in unknown space, on the map, in free space, beside a surface."""
 ON, OFF, ALONE = 1, 2, 3
 """Codes of points of a surface: on the map's surface, off it, with none near; 0 of others."""
 
@@ -365,9 +365,8 @@ class MapCloud:
         if len(alone):
             known = self._known.codes(points[alone], T, self._config.overlap_radius)
             codes[alone[known == THROUGH]] = OFF
-        on, off = (np.bincount(patch[codes == c], minlength=1) for c in (ON, OFF))
         count = int(patch.max(initial=-1)) + 1
-        on, off = (np.pad(n, (0, max(0, count - len(n))))[:count] for n in (on, off))
+        on, off = (np.bincount(patch[codes == c], minlength=count) for c in (ON, OFF))
         of = (on + off).astype(np.float32)
         share = np.divide(on, of, out=np.full(count, np.nan, np.float32), where=of > 0)
         return flush, share
