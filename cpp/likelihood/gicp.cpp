@@ -70,6 +70,32 @@ class Problem {
     })[kError];
   }
 
+  // Half of J'J of each pair: what it says along its surface, where any point is as good as another.
+  std::array<double, 36> along() {
+    double n = 0.0, s[3] = {}, ss[3][3] = {};
+    for (std::size_t i = 0; i < count_; ++i) {
+      if (targets_[i] == kNoPoint) continue;
+      n += 0.5;
+      for (std::size_t a = 0; a < 3; ++a) {
+        s[a] += 0.5 * row(kSource + a)[i];
+        for (std::size_t b = 0; b < 3; ++b) {
+          ss[a][b] += 0.5 * row(kSource + a)[i] * row(kSource + b)[i];
+        }
+      }
+    }
+    const double squared = ss[0][0] + ss[1][1] + ss[2][2];
+    const double skew[3][3] = {{0.0, -s[2], s[1]}, {s[2], 0.0, -s[0]}, {-s[1], s[0], 0.0}};
+    std::array<double, 36> H{};
+    for (std::size_t a = 0; a < 3; ++a) {
+      for (std::size_t b = 0; b < 3; ++b) {
+        H[6 * a + b] = (a == b ? squared : 0.0) - ss[a][b];
+        H[6 * a + b + 3] = H[6 * (b + 3) + a] = skew[a][b];
+        H[6 * (a + 3) + b + 3] = a == b ? n : 0.0;
+      }
+    }
+    return H;
+  }
+
   std::size_t inliers() const {
     const auto lone = std::count(targets_.begin(), targets_.end(), kNoPoint);
     return count_ - static_cast<std::size_t>(lone);
@@ -256,6 +282,14 @@ void optimise(Problem& problem, int iterations, const GicpOptions& options, Gicp
   }
 }
 
+// Leaves what the pairs say across their surfaces, as much as all points would.
+void across(Problem& problem, std::size_t stride, GicpResult& result) {
+  const auto along = problem.along();
+  for (std::size_t k = 0; k < along.size(); ++k) {
+    result.H[k] = (result.H[k] - along[k]) * static_cast<double>(stride);
+  }
+}
+
 }  // namespace
 
 GicpResult align(const Surface& target, const Surface& source, const Rigid& start,
@@ -266,13 +300,16 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
   if (rough > 1) {
     Problem few(target, source, rough, threads);
     optimise(few, options.max_iterations, options, result);
-    if (options.max_final == 0) return result;
+    if (options.max_final == 0) {
+      across(few, rough, result);
+      return result;
+    }
   }
   const std::size_t share = source.size() / std::max<std::size_t>(1, options.fine);
   const std::size_t stride = std::max<std::size_t>(1, share);
   Problem most(target, source, stride, threads);
   optimise(most, rough > 1 ? options.max_final : options.max_iterations, options, result);
-  for (double& h : result.H) h *= static_cast<double>(stride);
+  across(most, stride, result);
   return result;
 }
 

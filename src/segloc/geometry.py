@@ -194,13 +194,15 @@ class Separation(Section):
     def apart_from(self, T_a: Float64, T_b: Float64) -> NDArray[np.bool_]:
         """Return which poses of two stacks, (N, 4, 4) and (M, 4, 4), are at different places,
         (N, M)."""
-        axes, ends = T_b[:, :3, :3], T_b[:, :3, 3]
-        ahead = np.einsum("mji,nj->nmi", axes, T_a[:, :3, 0])
-        off = np.einsum("mji,nj->nmi", axes, T_a[:, :3, 3])
-        off -= np.einsum("mji,mj->mi", axes, ends)
-        turned = np.abs(np.arctan2(ahead[..., 1], ahead[..., 0])) > math.radians(self.degrees)
-        far = np.hypot(off[..., 0], off[..., 1]) > self.metres
-        apart: NDArray[np.bool_] = turned | far | (np.abs(off[..., 2]) > self.height)
+        x, y, z = (T_a[:, k, 3][:, None] - T_b[:, k, 3] for k in range(3))
+        apart: NDArray[np.bool_] = x * x + y * y + z * z > self.metres**2 + self.height**2
+        n, m = np.nonzero(~apart)  # few are near each other: only these are turned
+        axes = T_b[m, :3, :3]
+        ahead = np.einsum("kji,kj->ki", axes, T_a[n, :3, 0])
+        off = np.einsum("kji,kj->ki", axes, T_a[n, :3, 3] - T_b[m, :3, 3])
+        turned = np.abs(np.arctan2(ahead[:, 1], ahead[:, 0])) > math.radians(self.degrees)
+        far = np.hypot(off[:, 0], off[:, 1]) > self.metres
+        apart[n, m] = turned | far | (np.abs(off[:, 2]) > self.height)
         return apart
 
 

@@ -12,7 +12,7 @@ from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
-from .likelihood import Likelihood
+from .likelihood import Likelihood, Posterior
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer
@@ -168,10 +168,11 @@ class Localizer:
         times: StageTimes | None = None,
         deadline_ms: float | None = None,
         near: Prior | None = None,
+        known: Sequence[Pose] = (),
     ) -> tuple[Search, Localization]:
         """Search the map for a query and explain the result; every caller's queries end here."""
         times = times or StageTimes(self.clock)
-        found = self.search(query, times, deadline_ms, near)
+        found = self.search(query, times, deadline_ms, near, known=known)
         result = answer(query, found, times.with_total(), self.config.local_cloud.radius_m)
         if result.localized or not found.posterior.repeats(self.config.verification.min_confidence):
             return found, result
@@ -192,6 +193,7 @@ class Localizer:
         deadline_ms: float | None = None,
         near: Prior | None = None,
         *,
+        known: Sequence[Pose] = (),
         thorough: bool = False,
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
@@ -204,6 +206,8 @@ class Localizer:
         times : StageTimes, optional
         deadline_ms : float, optional
         near : Prior, optional
+        known : sequence of (4, 4) float64
+            Poses T_map_local that are measured beside what is proposed, as those of a tracker.
         thorough : bool
             Use all proposers and measure everything, to fit the model.
         """
@@ -215,7 +219,7 @@ class Localizer:
             if not proposed.last and (thorough or not scorer.segments_suffice(proposed.candidates)):
                 continue
             with times("verification"):
-                scorer.add(proposed.candidates, proposed.inliers, complete=proposed.last)
+                scorer.add(proposed.candidates, proposed.inliers, known)
                 posterior = scorer.measure(thorough=thorough)
             found = Search.of(
                 self.prior_map, proposed, posterior, scorer.places, min_confidence, near
@@ -224,8 +228,18 @@ class Localizer:
                 return found
         assert found is not None  # the last proposals are always measured
         if near and near.anywhere:
-            return self.search(query, times, deadline_ms, thorough=thorough)
+            return self.search(query, times, deadline_ms, known=known, thorough=thorough)
         return found
+
+    def compare(self, cloud: LocalCloud, known: Sequence[Pose]) -> Posterior:
+        """Compare a cloud with the map at known poses T_map_local and around them, without search.
+
+        The posterior has no places if the cloud has no points above the ground.
+        """
+        scene = self.segmenter.segment(cloud)
+        if not len(scene.structure):
+            return Posterior()
+        return self.likelihood.compared(self.likelihood.query(scene), known)
 
     def _proposals(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from . import geometry
 from .errors import InvalidScan
 from .frontend.local_cloud import Scans
 from .frontend.rolling_cloud import RollingCloud
-from .likelihood import ScoredPose
+from .likelihood import Posterior
 from .localization import Localization
 from .localizer import Localizer
 from .pipeline import Search
@@ -23,15 +23,15 @@ from .prior import Prior
 from .proposals.proposer import Query
 from .system.checks import checked_pose
 from .system.stage_times import StageTimes
-from .tracking.belief import Belief, BeliefConfig, Reading, Status, View
+from .tracking.belief import Belief, BeliefConfig, Hypothesis, Reading, Status, View
 from .types import Float64, LocalCloud, Pose, Scan
 
 QueryCallback = Callable[[Query, Search, Localization], None]
 """Receives a query, the result of its search, and the answer."""
 
-_MIN_RATIO_TERM = 1e-300
-_MAX_CHECKED, _MIN_CHECKED_P = 3, 0.01
-"""Most hypotheses that a scan is compared at, and their least probability."""
+_MIN_PROBABILITY = 1e-300
+_MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
+"""Most hypotheses that a view is compared at, and their least probability."""
 
 
 class TrackerConfig(BeliefConfig):
@@ -43,7 +43,7 @@ class TrackerConfig(BeliefConfig):
     every_m: float = Field(0.0, ge=0, description="travel between searches while localized [m]")
     searching_m: float = Field(4.0, ge=0, description="travel between searches otherwise [m]")
     check_m: float = Field(
-        2.0, gt=0, description="travel between comparisons of the newest scan with the map [m]"
+        2.0, gt=0, description="travel between views, that is of the newest scan [m]"
     )
 
 
@@ -83,23 +83,46 @@ class Track:
 class QueryRequest:
     """A view that is due, with its inputs: any thread can compute it later.
 
-    With ``search``, the map is searched for ``scans``. The ``newest`` scan is compared with the map
-    at the ``hypotheses`` (T_map_odom by key). Views of an earlier ``epoch`` are ignored.
+    Attributes
+    ----------
+    scans : Scan, list of Scan or LocalCloud
+        The newest scan, or the scans of the last stretch.
+    newest : Scan, LocalCloud or None
+        The newest scan if it can be told from the others.
+    hypotheses : sequence of (4, 4) float64
+        T_map_odom of those that are compared, the most probable first.
+    search : bool
+        Whether the map is searched, too.
+    settled : bool
+        Whether the robot is localized: then the newest scan alone is asked.
+    view : View
+        To be filled.
+    epoch : int
+        Views of an earlier epoch are ignored.
+    stamp : float
+        Of the newest scan [s].
+    near : Prior or None
+        Where the map is searched first; None for all of it.
     """
 
-    search: bool
     scans: Scans | LocalCloud
     newest: Scan | LocalCloud | None
-    hypotheses: Mapping[int, Pose]
+    hypotheses: Sequence[Pose]
+    search: bool
+    settled: bool
     view: View
     epoch: int
+    stamp: float = math.nan
+    near: Prior | None = None
 
 
 class Tracker:
     """Localizes a robot over successive queries by a Bayes filter.
 
     Places found by queries become hypotheses. Odometry moves and blurs them, and leaks their
-    probability to "lost". Views update their probabilities and that of "lost".
+    probability to "lost". Each view is one cloud, measured at the hypotheses and at what a search
+    proposes alike: that of the last stretch while it is open where the robot is, and the newest
+    scan alone once it is known, since what was seen before a robot was carried away has no vote.
 
     Parameters
     ----------
@@ -123,7 +146,7 @@ class Tracker:
         self.belief = Belief(self.config, verification.min_confidence, separation)
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
-        self._searched = self._checked = self._begun = -math.inf  # distances travelled
+        self._searched = self._viewed = -math.inf  # distances travelled
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = settings.segmentation.accumulated.voxel_size
@@ -181,85 +204,79 @@ class Tracker:
         localized = self.belief.status()[0] is Status.LOCALIZED
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
-        likely = [
-            h for h in self.belief.hypotheses[:_MAX_CHECKED] if h.probability > _MIN_CHECKED_P
-        ]
-        if search or (likely and self.travelled - self._checked >= config.check_m):
-            return self._request(scans, T, search, {h.key: h.T_map_odom for h in likely})
+        if search or (self._probable and self._since_view() >= config.check_m):
+            return self._request(scans, T, search, localized)
         return None
 
+    @property
+    def _probable(self) -> list[Hypothesis]:
+        """The hypotheses that views are compared at."""
+        best = self.belief.hypotheses[:_MAX_CHECKED]
+        return [h for h in best if h.probability > _MIN_CHECKED_P]
+
+    def _since_view(self) -> float:
+        return self.travelled - self._viewed
+
     def _request(
-        self, scans: Scans | LocalCloud, T: Pose, search: bool, hypotheses: Mapping[int, Pose]
+        self, scans: Scans | LocalCloud, T: Pose, search: bool, settled: bool
     ) -> QueryRequest:
-        new_check = min(1.0, (self.travelled - self._checked) / self.config.check_m)
-        new_search = new_check
-        if self.rolling is not None or (isinstance(scans, Sequence) and len(scans) > 1):
-            begun_m = self.travelled - self._begun
-            window_m = min(self.localizer.config.local_cloud.window_m, begun_m)
-            window_m = max(window_m, self.config.check_m)
-            new_search = min(1.0, (self.travelled - self._searched) / window_m)
-        view = View(self.belief.travelled, T, new_check, new_search)
-        self._checked = self.travelled
+        view = View(self.belief.travelled, T, min(1.0, self._since_view() / self.config.check_m))
+        self._viewed = self.travelled
         newest = _newest(scans, T)
         if search:
             self._searched = self.travelled
-            scans = scans if self.rolling is None else self.rolling.cloud()
-        return QueryRequest(search, scans, newest, hypotheses, view, self._epoch)
+            if self.rolling is not None and len(self.rolling) > 1 and not settled:
+                scans = self.rolling.cloud()
+        if newest is not None and isinstance(scans, (Scan, np.ndarray)):
+            scans = newest
+        known = [h.T_map_odom for h in self._probable]
+        return QueryRequest(scans, newest, known, search, settled, view, self._epoch)
 
     def ask(
         self,
         request: QueryRequest,
         deadline_ms: float | None = None,
         *,
-        near: Prior | None = None,
         callback: QueryCallback | None = None,
     ) -> View:
         """Compute a view, the second third of :meth:`update`; any thread may.
 
-        ``deadline_ms`` and ``near`` bound the search as in :meth:`Localizer.localize`; ``callback``
-        receives its result.
+        ``deadline_ms`` bounds each search as in :meth:`Localizer.localize`; ``callback`` receives
+        its result.
         """
-        view, localizer = request.view, self.localizer
-        if request.search:
-            times = StageTimes(localizer.clock)
-            query = localizer.describe(request.scans, times)
-            found, result = localizer.answer(query, times, deadline_ms, near)
+        newest, gather = request.newest, self.localizer.accumulator.gather
+
+        def searched(scans: Scans | LocalCloud) -> tuple[View, Search]:
+            times = StageTimes(self.localizer.clock)
+            query = self.localizer.describe(scans, times)
+            known = _known(request, query.cloud)
+            found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
             if callback is not None:
                 callback(query, found, result)
-            posterior = found.posterior
-            view = replace(
-                view,
-                places=[
-                    _reading(
-                        pose,
-                        math.log(
-                            max(p, _MIN_RATIO_TERM) / max(posterior.not_in_map, _MIN_RATIO_TERM)
-                        ),
-                        query.cloud,
-                        view,
-                    )
-                    for pose, p in zip(posterior.places, posterior.probabilities, strict=True)
-                ],
-            )
-        if request.newest is None or not request.hypotheses:
-            return view
-        cloud = request.newest
-        if isinstance(cloud, Scan):
-            cloud = localizer.accumulator.gather(cloud)
-        scene = localizer.segmenter.segment(cloud)
-        if not len(scene.structure):
-            return view
-        T_odom_local = view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
-        checks, scans = {}, {}
-        for key, T_map_odom in request.hypotheses.items():
-            here = localizer.around((T_map_odom @ view.T_odom_sensor)[:3, 3])
-            if here is None:
-                continue
-            if here not in scans:
-                scans[here] = here.likelihood.query(scene)
-            pose = here.likelihood.at(scans[here], T_map_odom @ T_odom_local)
-            checks[key] = _reading(pose, pose.log_ratio, cloud, view)
-        return replace(view, checks=checks)
+            return _filled(request.view, found.posterior, query.cloud, searched=True), found
+
+        if newest is None:
+            return searched(request.scans)[0]
+        if request.search and not request.settled:
+            view, found = searched(request.scans)
+            if found.reason is None or newest is request.scans or not request.hypotheses:
+                return view
+            alone, found = searched(newest)  # the last stretch may hold two places
+            return alone if found.reason is None else view
+        if not request.search:
+            cloud = gather(newest) if isinstance(newest, Scan) else newest
+            posterior = self.localizer.compare(cloud, _known(request, cloud))
+            view = _filled(request.view, posterior, cloud)
+            if not self._doubts(view, request.hypotheses[0]):
+                return view
+        return searched(newest)[0]
+
+    def _doubts(self, view: View, T_map_odom: Pose) -> bool:
+        """Return whether a view speaks against a hypothesis, or shows nothing of it."""
+        apart, T = self.localizer.likelihood.separation.apart, view.T_odom_sensor
+        here = (p for p in view.places if not apart(p.T_map_odom @ T, T_map_odom @ T))
+        seen = next(here, None)
+        return seen is not None and seen.evidence < 0.0
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Update the hypotheses by a view, the last third of :meth:`update`."""
@@ -280,7 +297,7 @@ class Tracker:
         self.belief.follow_jump(T, problem)
         if self._last is not None:
             self._last = T @ self._last
-        self._searched = -math.inf
+        self._searched = self._viewed = -math.inf
         self._restart_window()
 
     def forget(self) -> None:
@@ -296,16 +313,30 @@ class Tracker:
 
     def _restart_window(self) -> None:
         """Drop the accumulated scans; searches use later ones only."""
-        self._begun, self._epoch = self.travelled, self._epoch + 1
+        self._epoch += 1
         if self.rolling is not None:
             self.rolling.clear()
 
 
-def _reading(pose: ScoredPose, log_ratio: float, cloud: LocalCloud, view: View) -> Reading:
-    covariance = geometry.rotated_covariance(pose.covariance, cloud.T_local_sensor)
-    T_map_sensor = pose.T_map_local @ cloud.T_local_sensor
-    T_map_odom = T_map_sensor @ geometry.inverse(view.T_odom_sensor)
-    return Reading(T_map_odom, log_ratio, covariance, pose.known_ratio)
+def _known(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
+    """Return the hypotheses as poses T_map_local of a cloud."""
+    T_odom_local = request.view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
+    return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]
+
+
+def _filled(view: View, posterior: Posterior, cloud: LocalCloud, searched: bool = False) -> View:
+    """Return a view with the places of a posterior."""
+    T_local_odom = cloud.T_local_sensor @ geometry.inverse(view.T_odom_sensor)
+    places = [
+        Reading(
+            place.T_map_local @ T_local_odom,
+            place.evidence,
+            math.log(max(p, _MIN_PROBABILITY) / max(posterior.not_in_map, _MIN_PROBABILITY)),
+            geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
+        )
+        for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+    ]
+    return replace(view, places=places, searched=searched)
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:

@@ -49,7 +49,7 @@ def reference_normals(points: Float32, support: float) -> Float64:
 
 
 def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, float, int]:
-    """Curvature of the cost of Generalized-ICP at a pose, the cost itself, and the pairs."""
+    """Curvature across surfaces of Generalized-ICP's cost at a pose, the cost, and the pairs."""
     n, m = reference_normals(target, SUPPORT), reference_normals(source, SUPPORT)
     R = T[:3, :3]
     moved = geometry.transform(T, source.astype(np.float64))
@@ -64,7 +64,7 @@ def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, 
         e = target[nearest[i]] - moved[i]
         x, y, z = source[i]
         J = R @ np.hstack([np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), -np.eye(3)])
-        H += J.T @ W @ J
+        H += J.T @ (W - 0.5 * np.eye(3)) @ J
         error += 0.5 * e @ W @ e
         inliers += 1
     return H, error, inliers

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
-from ..types import Float32
-from .observation import Aligned, Count, Evidence, Observation
+from ..types import Float32, Pose
+from .observation import Aligned, Count, Evidence
 
 FEATURES = (
     "flush",
@@ -37,13 +37,12 @@ _CHANCE_OVERLAP, _KNOWN_PRIOR = 0.25, 0.2
 all, those of a pose are smoothed: a pose that the map knows nothing about fits as chance does."""
 _CHANCE_WALLS = 0.4
 """Share of each wall patch that some pose of any map explains."""
+_WALLS_ALIKE = 0.1
+"""Shares of a patch that are no farther apart say nothing: noise decides there."""
 _WALLS_PRIOR = 5.0
 """Wall patches by which those told apart are smoothed."""
 _CHANCE_INLIERS = 4
 """Inliers of some wrong pose of any map."""
-
-_SEEN, _INSIDE = 0.75, 0.02
-"""Shares of the seen map in view, and of a query in free space, at correct poses after changes."""
 
 
 class Measured(Protocol):
@@ -77,16 +76,38 @@ class Promise(Section):
         return sum(w * x for w, x in zip(self.weights, (1.0, *measures), strict=True))
 
 
+class Known(Section):
+    """What a view says about a pose that is known already, by its features.
+
+    A logistic regression, fitted to views from right and from wrong poses of robots that drive on.
+    """
+
+    weights: tuple[float, ...] = Field(description="constant, then one weight a feature")
+    misleading: float = Field(gt=0, lt=0.5, description="probability that a view misleads")
+    power: float = Field(gt=0, description="exponent of the unknown share that is no evidence")
+
+    def evidence(self, features: Sequence[float], unknown: float) -> float:
+        """Return the log-ratio of a view from a pose against one from elsewhere.
+
+        The more of the query is in unknown space, the less it says.
+        """
+        odds = sum(w * x for w, x in zip(self.weights, (1.0, *features), strict=True))
+        right = 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
+        p = self.misleading + (1.0 - 2.0 * self.misleading) * right
+        return float((1.0 - unknown**self.power) * math.log(p / (1.0 - p)))
+
+
 class Model(Section):
     """Log-ratio of a pose: a weighted sum of its features."""
 
-    format: int = Field(ge=5, le=5, description="format version")
+    format: int = Field(ge=6, le=6, description="format version")
     weights: Mapping[str, float] = Field(
         description="weight of each feature; natural logarithms, no unit"
     )
     none: float = Field(description='score of "not in this map"')
     rough: Promise = Field(description="of places before alignment")
     aligned: Promise = Field(description="of places after alignment with some of the points")
+    known: Known = Field(description="of poses that are known already")
     unseen: float = Field(
         description="log-probability that a place without segment matches fits as well as the best"
     )
@@ -102,18 +123,6 @@ class Model(Section):
         """Return the log-ratio of a pose against "not in this map", by :func:`features_of`."""
         weighed = (self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
         return sum(weighed) - self.none
-
-    def consistency(self, fit: Observation) -> float:
-        """Return the part of a pose's score that is independent of unmapped parts of the query.
-
-        Points in view of both are compared with those of correct poses after changes.
-        """
-        seen, inside = fit.seen, fit.inside
-        usual = Count(round(_SEEN * seen.of), seen.of)
-        clear = Count(round(_INSIDE * inside.of), inside.of)
-        return self.weights["seen_over_rival"] * (
-            seen.log_odds(_SEEN_PRIOR) - usual.log_odds(_SEEN_PRIOR)
-        ) + self.weights["free_space"] * (free_space(inside) - free_space(clear))
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """Return the log-ratio of a pose to another that differs only in its inliers."""
@@ -179,7 +188,7 @@ def walls_over(here: Float32, elsewhere: Float32 | None = None) -> float:
         Share of each patch of walls on the map; NaN if unknown. By default elsewhere is chance.
     """
     more = here - (np.float32(_CHANCE_WALLS) if elsewhere is None else elsewhere)
-    known = more[more == more]
+    known = more[np.abs(more) > _WALLS_ALIKE]
     total, either = float(known.sum()), float(np.abs(known).sum())
     return math.log((either + total + 2 * _WALLS_PRIOR) / (either - total + 2 * _WALLS_PRIOR))
 
@@ -194,6 +203,11 @@ def known_odds(known: Evidence) -> float:
 def inlier_ratio(inliers: int, elsewhere: int) -> float:
     """Return the log of the ratio of inliers to those elsewhere, or to chance."""
     return math.log1p(inliers) - math.log1p(max(elsewhere, _CHANCE_INLIERS))
+
+
+def as_by_chance(_: Pose) -> int:
+    """Return the inliers of a pose where segments are not matched: no evidence."""
+    return _CHANCE_INLIERS
 
 
 def free_space(inside: Count) -> float:

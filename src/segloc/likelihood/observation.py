@@ -88,6 +88,11 @@ class Evidence(NamedTuple):
     off: int
     of: int
 
+    @property
+    def unknown(self) -> float:
+        """Share of the points in unknown space, in [0, 1]; 1 of no points."""
+        return 1.0 - (self.on + self.off) / self.of if self.of else 1.0
+
 
 @dataclass
 class Aligned:
@@ -347,13 +352,6 @@ class MapCloud:
             walls=walls,
         )
 
-    def mapped(self, fit: Observation, query: QueryCloud) -> float:
-        """Return the share of a query's structure with any map points around it, in [0, 1]."""
-        T, radius = self._relative(fit.T_map_local)[None], self._config.overlap_radius
-        none = self._target.index.overlap(query.sample, T, radius, 0.0)
-        most = self._target.index.overlap(query.sample, T, radius, 1.0)
-        return 1.0 - float(most[0] - none[0])
-
     def _walls(self, query: QueryCloud, T: Pose) -> tuple[Count, Float32]:
         """Compare walls: their points, and the share of each patch that is explained."""
         surface, points, patch = query.close
@@ -387,9 +385,9 @@ class MapCloud:
         return query.seen(points, np.ascontiguousarray(geometry.inverse(T)))
 
     def _best(self, T: Pose, query: QueryCloud, roughly: bool) -> Registered | None:
-        """Return the alignment from T, repeated until it converges."""
+        """Return the alignment from T; one with all points is repeated until it converges."""
         found = self._registered(T, T, query, roughly)
-        for _ in range(_MOST_AGAIN):
+        for _ in range(0 if roughly else _MOST_AGAIN):
             if found is None or found.shift_m < _STILL_M:
                 break
             again = self._registered(found.T_target_source, T, query, roughly)

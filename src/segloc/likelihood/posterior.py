@@ -33,8 +33,10 @@ class ScoredPose:
         Covariance of rotation [rad], then translation [m], in the local frame.
     features : tuple of float
         Features of the log-ratio.
-    known_ratio : float
-        Log-ratio of a previously known pose: points off the map do not lower it. 0 if unused.
+    evidence : float
+        Log-ratio of the query from here, if the pose was known already, against one from elsewhere.
+    unknown : float
+        Share of the query in space of which the map knows nothing, in [0, 1].
     """
 
     T_map_local: Pose
@@ -45,7 +47,8 @@ class ScoredPose:
     rmse: float | None = None
     covariance: Float64 | None = None
     features: tuple[float, ...] = ()
-    known_ratio: float = 0.0
+    evidence: float = 0.0
+    unknown: float = 0.0
 
     def __str__(self) -> str:
         plural = "" if self.inliers == 1 else "s"

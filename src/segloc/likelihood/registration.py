@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +12,10 @@ from .. import _native, geometry
 from ..types import Float32, Float64, Pose
 
 MIN_POINTS = 20
+_REACH_M, _REACH_DEG = 2.0, 5.0
+"""Standard deviation where nothing fixes a pose: poses farther apart are other places."""
+_MIN_VARIANCE = 1e-6
+"""Of clouds that are equal."""
 _ROUGHLY = {"max_iterations": 10, "max_final": 0}
 COVARIANCE_SCALE = 20.0
 """Errors of neighbouring correspondences are correlated, so the curvature of the cost alone is
@@ -82,12 +87,23 @@ class Aligned:
     Attributes
     ----------
     T_target_source : (4, 4) float64
-    covariance : (6, 6) float64
-        Covariance of rotation and translation, in the source's frame.
+    information : (6, 6) float64
+        What pairs of points say across their surfaces, about rotation [rad] and translation [m] in
+        the source's frame. Nothing along a bare wall.
     """
 
     T_target_source: Pose
-    covariance: Float64
+    information: Float64
+
+    @property
+    def covariance(self) -> Float64:
+        """Covariance of rotation [rad] and translation [m], (6, 6), in the source's frame.
+
+        A direction in which surfaces slide along each other is as open as an alignment reaches.
+        """
+        reach = np.repeat([math.radians(_REACH_DEG), _REACH_M], 3)
+        covariance = np.linalg.inv(self.information + np.diag(reach**-2.0))
+        return np.asarray((covariance + covariance.T) / 2, np.float64)
 
 
 @dataclass(frozen=True)
@@ -194,10 +210,8 @@ class Aligner:
         degrees = 3 * inliers - 6
         if min(inliers, len(target)) < MIN_POINTS or not np.isfinite(np.append(T, H)).all():
             return None
-        if np.linalg.cond(H) > 1e12:
-            return None
-        inverse = np.linalg.inv(H) * (COVARIANCE_SCALE * 2.0 * error / degrees)
-        return Aligned(geometry.orthonormal(T), (inverse + inverse.T) / 2)
+        variance = COVARIANCE_SCALE * 2.0 * error / degrees
+        return Aligned(geometry.orthonormal(T), H / max(variance, _MIN_VARIANCE))
 
     def register(
         self,
@@ -216,7 +230,7 @@ class Aligner:
         moved = geometry.inverse(T_target_source) @ T
         shift = float(np.linalg.norm(moved[:3, 3]))
         overlap, rmse = target.overlap(source.sample, T, radius)
-        return Registered(T, aligned.covariance, overlap, rmse, shift)
+        return Registered(T, aligned.information, overlap, rmse, shift)
 
 
 def thinned(points: Float32, count: int) -> Float32:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,15 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..types import Bools, Candidate, Float32, Float64, Pose
 from .config import VerificationConfig
-from .model import Model, aligned_measures, features_of, rough_measures, shipped_model, walls_over
+from .model import (
+    Model,
+    aligned_measures,
+    as_by_chance,
+    features_of,
+    rough_measures,
+    shipped_model,
+    walls_over,
+)
 from .observation import Aligned, MapCloud, Observation, QueryCloud
 from .posterior import Posterior, ScoredPose, log_odds
 
@@ -21,7 +29,7 @@ _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
 _FIRST = 2
 """Candidates of each proposer that are among the promising ones, by its own order."""
-_MORE = 4
+_MORE = 6
 """Further places that may be aligned: those about the best one."""
 
 Inliers = Callable[[Pose], int]
@@ -80,24 +88,19 @@ class Likelihood:
         """Return the scorer of one query; places that are not ``allowed`` are ignored."""
         return Scorer(self, query, allowed)
 
-    def at(self, query: QueryCloud, T_map_local: Pose) -> ScoredPose:
-        """Align and measure a query at a known pose, without search, segments and runner-up."""
-        fit = self.cloud.measured(T_map_local, query)
-        found = self.scored(fit, features_of(fit, (), 0, walls_over(fit.walls)))
-        # Points off the map do not lower the ratio of a known pose.
-        mapped = min(max(self.cloud.mapped(fit, query), 1e-9), 1.0 - 1e-9)
-        off_map = min(0.0, math.log1p(-mapped) + self.model.consistency(fit))
-        known_ratio = float(np.logaddexp(math.log(mapped) + found.log_ratio, off_map))
-        return replace(found, known_ratio=known_ratio)
+    def compared(self, query: QueryCloud, poses: Sequence[Pose]) -> Posterior:
+        """Compare a query at known poses T_map_local, and at those around them, without search.
 
-    def unproposed(self, inliers: int, elsewhere: int) -> float:
-        """Return the log-ratio, to a place with these inliers, of one that segments did not
-        propose; ``elsewhere`` is the most inliers of any other."""
-        return self.model.unseen - self.model.margin(inliers, elsewhere)
+        Segments are not matched: they count neither for nor against a pose.
+        """
+        scorer = self.scorer(query)
+        scorer.add((), as_by_chance, poses)
+        return scorer.measure()
 
     def segments_suffice(self, inliers: int, elsewhere: int) -> bool:
         """Return whether a place with these inliers may be accepted before other proposers."""
-        return -self.unproposed(inliers, elsewhere) >= log_odds(self.config.min_confidence)
+        unproposed = self.model.unseen - self.model.margin(inliers, elsewhere)
+        return -unproposed >= log_odds(self.config.min_confidence)
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """Return the fit at a pose with its log-ratio."""
@@ -110,6 +113,8 @@ class Likelihood:
             rmse=fit.rmse,
             covariance=fit.covariance,
             features=features,
+            evidence=self.model.known.evidence(features, fit.known.unknown),
+            unknown=fit.known.unknown,
         )
 
 
@@ -125,7 +130,7 @@ class Trial:
     overlap : float
         Overlap before alignment.
     rank : int
-        Number of better candidates by its own proposer.
+        Number of better candidates by its own proposer; -1 of a known pose.
     measures : tuple of float
         What is known before alignment, by :func:`rough_measures`.
     aligned : Aligned or None
@@ -169,8 +174,6 @@ class Scorer:
     ----------
     places : list of Trial
         Distinct places under consideration.
-    complete : bool
-        False while other proposers have not been asked: what they may propose has its share.
     """
 
     def __init__(self, likelihood: Likelihood, query: QueryCloud, allowed: Allowed) -> None:
@@ -184,7 +187,6 @@ class Scorer:
         self._compared: dict[tuple[int, int], float] = {}
         self._measured: list[Observation] = []  # kept alive: walls are compared by identity
         self.places: list[Trial] = []
-        self.complete = True
 
     @property
     def fits(self) -> list[Observation]:
@@ -192,7 +194,7 @@ class Scorer:
         return [place.fit for place in self.places if place.fit is not None]
 
     def add(
-        self, candidates: Sequence[Candidate], inliers: Inliers, *, complete: bool = True
+        self, candidates: Sequence[Candidate], inliers: Inliers, known: Sequence[Pose] = ()
     ) -> None:
         """Consider candidates: all so far, with their inliers by the newest matches.
 
@@ -202,17 +204,17 @@ class Scorer:
             T_map_local.
         inliers : callable
             Counts the segments that agree with a pose.
-        complete : bool
-            False if further proposers may be asked.
+        known : sequence of (4, 4) float64
+            Poses T_map_local that are measured to the end, whatever they promise.
         """
-        self.complete, self._inliers = complete, inliers
+        self._inliers = inliers
         if candidates:
             self._candidates = np.stack([c.T_map_local for c in candidates])
             self._inliers_there = np.array([c.inliers for c in candidates])
         for place in self.places:
             self._count(place)
         count = Counter[str]()
-        poses = list[tuple[Pose, int, int]]()
+        poses = [(T, inliers(T), -1) for T in known]
         for c in candidates:
             poses.append((c.T_map_local, c.inliers, count[c.proposer]))
             count[c.proposer] += 1
@@ -245,10 +247,6 @@ class Scorer:
         """Return the posterior of what was measured; the rest has a share by its promise."""
         scored = [place.scored for place in self.places if place.scored is not None]
         left = [place.promise for place in self.places if place.fit is None]
-        best = max(scored, key=lambda place: place.log_ratio, default=None)
-        if best is not None and not self.complete:
-            (elsewhere,) = self._most_elsewhere(best.T_map_local[None])
-            left.append(best.log_ratio + self._likelihood.unproposed(best.inliers, elsewhere))
         return Posterior.of(scored, self._model.lapse, left)
 
     def _meet_rivals(self) -> None:
@@ -272,6 +270,9 @@ class Scorer:
         """Return the most promising place to measure; None if no other is likely to compete."""
         begun = sum(place.aligned is not None for place in self.places)
         may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places + _MORE)
+        for place in self.places:
+            if place.rank < 0 and place.fit is None:
+                return place
         left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
         if thorough:
             fresh = [place for place in left if place.aligned is None]
@@ -341,7 +342,7 @@ class Scorer:
         fresh += [place for place in self.places if place.aligned is None]
         apart = self._describe(fresh, begun)
         kept: list[int] = []
-        for k in sorted(range(len(fresh)), key=lambda k: -fresh[k].rough):
+        for k in sorted(range(len(fresh)), key=lambda k: (fresh[k].rank >= 0, -fresh[k].rough)):
             if apart[k, [*kept, *range(len(fresh), len(fresh) + len(begun))]].all():
                 kept.append(k)
         self.places = [*begun, *(fresh[k] for k in kept)]
@@ -365,7 +366,8 @@ class Scorer:
     def _merge(self, place: Trial) -> None:
         """Keep the better of two that were measured at one place."""
         for other in self._same(place):
-            worse = min(place, other, key=_merit)
+            worse, better = sorted((place, other), key=_merit)
+            better.rank = min(place.rank, other.rank)
             self.places = [each for each in self.places if each is not worse]
             if worse is place:
                 return

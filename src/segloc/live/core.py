@@ -17,7 +17,6 @@ from ..errors import SeglocError
 from ..localization import Explained
 from ..localizer import Localizer
 from ..motion import Motion, at_stamp
-from ..prior import Prior
 from ..system.checks import checked_pose
 from ..tracker import QueryCallback, QueryRequest, Tracker
 from ..tracking.belief import Status, View
@@ -83,24 +82,6 @@ class StateReason(Explained):
         return str.__str__(self)
 
 
-@dataclass(frozen=True)
-class PendingQuery:
-    """A query that is due.
-
-    Attributes
-    ----------
-    stamp : float
-        Of its scan.
-    request : QueryRequest
-    near : Prior or None
-        Where the kept pose is checked.
-    """
-
-    stamp: float
-    request: QueryRequest
-    near: Prior | None = None
-
-
 class LiveCore:
     """Take scans and odometry, and return the robot's state after each.
 
@@ -157,7 +138,7 @@ class LiveCore:
         self._waiting: deque[tuple[float, Scan]] = deque()
         self._newest = -math.inf  # stamp of the newest scan received
         self._asked_at = -math.inf
-        self._due: PendingQuery | None = None
+        self._due: QueryRequest | None = None
         self._open = False  # True while a query is being made
         self._fault = ""  # why the track is unreliable, whatever the tracker reports
         self.state = State(0.0, Status.LOST, reason="no data received")
@@ -227,23 +208,17 @@ class LiveCore:
             self.dropped += 1
         return states
 
-    def due(self) -> PendingQuery | None:
-        """Return the query to make now, if any; each once."""
-        pending, self._due = self._due, None
-        self._open = self._open or pending is not None
+    def due(self) -> QueryRequest | None:
+        """Return the query to make now, if any; each once. A kept pose is checked there first."""
+        request, self._due = self._due, None
+        self._open = self._open or request is not None
         T_odom_base = self.state.T_odom_base
-        if pending is None or self._keeper is None or T_odom_base is None:
-            return pending
-        near = self._keeper.near(pending.stamp, T_odom_base, self.T_base_sensor)
-        return replace(pending, near=near)
+        if request is None or self._keeper is None or T_odom_base is None:
+            return request
+        near = self._keeper.near(request.stamp, T_odom_base, self.T_base_sensor)
+        return replace(request, near=near)
 
-    def ask(
-        self,
-        pending: PendingQuery,
-        *,
-        near: Prior | None = None,
-        callback: QueryCallback | None = None,
-    ) -> View:
+    def ask(self, request: QueryRequest, *, callback: QueryCallback | None = None) -> View:
         """Make a query, as :meth:`segloc.Tracker.ask` does; thread-safe.
 
         Raises
@@ -251,17 +226,14 @@ class LiveCore:
         SeglocError
             If it cannot be made.
         """
-        near = near or pending.near
-        return self.tracker.ask(
-            pending.request, self.config.deadline_ms, near=near, callback=callback
-        )
+        return self.tracker.ask(request, self.config.deadline_ms, callback=callback)
 
-    def answer(self, pending: PendingQuery, view: View | None) -> State:
+    def answer(self, request: QueryRequest, view: View | None) -> State:
         """Apply the result of a query; None if it could not be made."""
         self._open = False
         if view is not None:
-            self.tracker.take(pending.request, view)
-        return self._report(self.state.stamp, answered=pending.stamp)
+            self.tracker.take(request, view)
+        return self._report(self.state.stamp, answered=request.stamp)
 
     def forget(self) -> State:
         """Forget the pose but keep the scans; the next scan triggers a query."""
@@ -323,7 +295,7 @@ class LiveCore:
         self.scans += 1
         self._fault = ""
         if request is not None:
-            self._asked_at, self._due = stamp, PendingQuery(stamp, request)
+            self._asked_at, self._due = stamp, replace(request, stamp=stamp)
         return self._report(stamp, T_odom_sensor @ geometry.inverse(self.T_base_sensor))
 
     @staticmethod

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import LiveError, SeglocError
 from ..localizer import Localizer
 from ..system.checks import checked_pose
+from ..tracker import QueryRequest
 from ..tracking.belief import View
 from ..types import Scan
 from .config import LiveConfig
-from .core import LiveCore, PendingQuery, State
+from .core import LiveCore, State
 from .kept_pose import PoseKeeper
 from .odometry import known_stamp
 
@@ -79,7 +80,7 @@ class LiveLocalizer:
         self._state, self._on_state = self._core.state, on_state
         self._changed = threading.Condition()
         self._inbox: deque[_Event] = deque()
-        self._pending: PendingQuery | None = None
+        self._pending: QueryRequest | None = None
         self._busy = 0  # working threads
         self._closed = False
         self._error: BaseException | None = None
@@ -251,7 +252,7 @@ class LiveLocalizer:
                 self._busy -= 1
                 self._changed.notify_all()
 
-    def _answer(self, pending: PendingQuery, view: View | None) -> list[State]:
+    def _answer(self, pending: QueryRequest, view: View | None) -> list[State]:
         return [self._core.answer(pending, view)]
 
     def _publish(self, states: list[State]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
 from ..proposals.proposer import Estimator, Query
 from ..system.stage_times import Clock, StageTimes
-from ..types import Candidate, Float64, Matches
+from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
 from .store import holds_tiles
 from .tiled_map import TiledMap
@@ -101,6 +101,7 @@ class TiledLocalizer(Localizer):
         deadline_ms: float | None = None,
         near: Prior | None = None,
         *,
+        known: Sequence[Pose] = (),
         thorough: bool = False,
     ) -> Search:
         """Search the tiles that a query may be in, as :meth:`segloc.Localizer.search`.
@@ -124,13 +125,31 @@ class TiledLocalizer(Localizer):
                 found = self._vote.poses(query.scene, matches, near)
         only = None if near is None else replace(near, anywhere=False)
         result: Search | None = None
+        held = self._owners(known)
         for chosen in self._named(query, tiles, found, near, times):
-            result = self._searching(chosen, times).search(query, times, deadline_ms, only)
+            here = self._searching(tuple({*chosen, *held}), times)
+            result = here.search(query, times, deadline_ms, only, known=known)
             if result.reason is None or times.beyond(deadline_ms):
                 return result
         if near is not None and near.anywhere:
-            return self.search(query, times, deadline_ms, None)
+            return self.search(query, times, deadline_ms, None, known=known)
+        if result is None and held:
+            here = self._searching(held, times)
+            return here.search(query, times, deadline_ms, only, known=known)
         return result or self._nowhere(matches, found, near)
+
+    def compare(self, cloud: LocalCloud, known: Sequence[Pose]) -> Posterior:
+        """Compare a cloud with the tiles at known poses, as :meth:`segloc.Localizer.compare`.
+
+        Raises
+        ------
+        MapFormatError
+            If a tile cannot be read; names its file.
+        """
+        held = self._owners(known)
+        if not held:
+            return Posterior()
+        return self._searching(held, StageTimes(self.clock)).compare(cloud, known)
 
     def around(self, position: Float64) -> Localizer | None:
         """Return the localizer of the tile at a (3,) position; None beside all tiles.
@@ -144,6 +163,13 @@ class TiledLocalizer(Localizer):
         if tile is None:
             return None
         return self._searching((tile,), StageTimes(self.clock))
+
+    def _owners(self, poses: Sequence[Pose]) -> tuple[Tile, ...]:
+        """Return the tiles at poses, each once."""
+        if not poses:
+            return ()
+        owners = self.tiles.index.owners(np.stack([T[:3, 3] for T in poses]))
+        return tuple(dict.fromkeys(tile for tile in owners if tile is not None))
 
     def _named(
         self,

@@ -6,12 +6,13 @@ It needs no clouds and no clock: poses are ``T_map_odom``, and time is the dista
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from .. import geometry
 from ..system.section import Section
@@ -21,6 +22,9 @@ _MIN_PROBABILITY = 1e-3
 """Hypotheses below this are dropped."""
 _MAX_LOG_RATIO = 300.0
 """Larger log-ratios would overflow."""
+_MOST_SQUARED = 22.5
+"""Squared error of a correction, by its covariance, of which six degrees of freedom exceed one in a
+thousand."""
 
 
 class Status(str, Enum):
@@ -43,68 +47,68 @@ class BeliefConfig(Section):
     )
     drift: float = Field(0.02, ge=0, description="position error of odometry per distance [m/m]")
     drift_deg: float = Field(0.05, ge=0, description="heading error of odometry [deg/m]")
+    drift_tilt_deg: float = Field(
+        1.0,
+        ge=0,
+        description="tilt error of odometry, as of a planar one on ramps [deg/m]",
+    )
     leak: float = Field(
         0.004, gt=0, description="probability to leave the track, kidnapped or slipping [1/m]"
     )
     jump_m: float = Field(
         75.0, ge=0, description="unobserved travel that a jump of the odometry counts as [m]"
     )
-    max_log_ratio: float = Field(
-        4.0, gt=0, description="bound of a view's log-ratio: a wrong view must not be final"
-    )
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Fit of a view at one pose.
+    """Fit of a view at one place.
 
     Attributes
     ----------
     T_map_odom : (4, 4) float64
+    evidence : float
+        Log-ratio of the view from a pose that is known already against one from elsewhere.
     log_ratio : float
-        Log-likelihood ratio of the view from there against a view from outside the map.
+        Log-ratio of a place that was not known, as of a single query, against none of the places.
     covariance : (6, 6) float64 or None
         Covariance of the sensor's pose in the map, as :attr:`segloc.Localized.covariance`.
-    known_ratio : float
-        Log-ratio of a pose that is a hypothesis already: it may be at the end of the map.
     """
 
     T_map_odom: Pose
-    log_ratio: float
+    evidence: float
+    log_ratio: float = -math.inf
     covariance: Float64 | None = None
-    known_ratio: float = 0.0
 
 
 @dataclass(frozen=True)
 class View:
-    """Fits measured after ``at`` metres (:attr:`Belief.travelled`), from ``T_odom_sensor``.
+    """One cloud, measured at all places after ``at`` metres (:attr:`Belief.travelled`).
 
     Attributes
     ----------
-    new_check, new_search : float
-        Shares of the newest scan, and of the cloud of the search, that no earlier view contained.
-    checks : dict of int to Reading
-        Fits of the newest scan at hypotheses, by their keys.
+    new : float
+        Share of the view that no earlier view contained.
     places : sequence of Reading
-        Places found by a search of the map.
+        Fits at hypotheses and, after a search of the map, at places that it found.
+    searched : bool
+        Whether the map was searched: new places may enter.
     """
 
     at: float
     T_odom_sensor: Pose
-    new_check: float = 1.0
-    new_search: float = 1.0
-    checks: Mapping[int, Reading] = field(default_factory=dict)
+    new: float = 1.0
     places: Sequence[Reading] = ()
+    searched: bool = False
 
 
 @dataclass
 class Hypothesis:
     """A possible place of the robot; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``counted`` is the log-ratio of searches that is part of ``probability``. ``views`` counts the
-    views that support it, overlapping ones by their new share. It is ``accepted`` from
-    ``min_confidence`` on, for as long as it is more probable than not. ``leaked`` is the
-    probability lost since a scan last fitted.
+    ``evidence`` is that of the newest view here. ``views`` counts the views that support it,
+    overlapping ones by their new share. It is ``accepted`` from ``min_confidence`` on, for as long
+    as it is more probable than not. ``doubted`` is a pose that a single view has moved too far.
     """
 
     key: int
@@ -113,10 +117,10 @@ class Hypothesis:
     covariance: Float64 | None
     at: float
     probability: float
-    counted: float
+    evidence: float
     views: float = 1.0
     accepted: bool = False
-    leaked: float = 0.0
+    doubted: Pose | None = None
 
 
 class Belief:
@@ -158,7 +162,6 @@ class Belief:
         kept = math.exp(-self.config.leak * metres)
         self.lost = 1.0 - kept * (1.0 - self.lost)
         for h in self.hypotheses:
-            h.leaked += (1.0 - kept) * h.probability
             h.probability *= kept
         self._normalize(self.track)
 
@@ -171,28 +174,38 @@ class Belief:
         self.move(self.config.jump_m)
 
     def update(self, view: View) -> bool:
-        """Update the hypotheses by the places of a search and by the newest scan.
+        """Update by Bayes' rule: every place is compared with the same cloud.
 
-        A new place has the probability of "lost" times its ratio: from "lost" alone, one view gives
-        the posterior of a single query. Overlap with earlier searches counts once.
+        A hypothesis gains the evidence of the view, less what an overlapping one before has said. A
+        place that a search finds has at least the probability of "lost" times its ratio: from
+        "lost" alone, one view gives the posterior of a single query.
 
         Returns
         -------
         bool
-            True if the newest scan contradicts the track. The earlier scans may then be of another
-            place, so the places found with them are ignored.
+            True if the view contradicts the track. Earlier scans may then be of another place.
         """
-        track = self.track
-        gain = 0.0 if track is None else self._gain(track, view)
-        contradicted = gain < -math.log(2.0)
-        if gain:
-            self.problem = "the map contradicts the track" if contradicted else ""
-        for place in () if contradicted else view.places:
-            self._add(place, view)
+        track, fresh = self.track, list(view.places)
+        contradicted = False
         for h in self.hypotheses:
-            if h.key in view.checks:
-                self._check(h, view.checks[h.key], view)
-        self._merge(view.T_odom_sensor)
+            seen = next((p for p in view.places if self._same(h, p.T_map_odom, view)), None)
+            if seen is None:
+                continue
+            fresh = [p for p in fresh if p is not seen]
+            gain = seen.evidence - (1.0 - view.new) * h.evidence
+            h.probability, h.evidence = h.probability * math.exp(gain), seen.evidence
+            if view.searched:
+                h.probability = max(h.probability, self._found(seen))
+            if seen.evidence > 0.0:
+                h.views += view.new
+                self._move(h, seen, view)
+            if h is track:
+                contradicted = gain < -math.log(2.0)
+                if contradicted or seen.evidence > 0.0:
+                    self.problem = "the map contradicts the track" if contradicted else ""
+        for place in fresh if view.searched else ():
+            self._add(place, view)
+        self._merge(view)
         self._normalize(track)
         return contradicted
 
@@ -209,72 +222,80 @@ class Belief:
 
     def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
         """Return the covariance of the track's pose, with the drift since it was measured."""
-        track = self.track
-        if track is None or track.covariance is None:
+        return None if self.track is None else self._predicted(self.track, T_odom_sensor)
+
+    def _predicted(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
+        if h.covariance is None:
             return None
-        T_now_then = geometry.inverse(T_odom_sensor) @ track.T_odom_sensor
-        path = max(0.0, self.travelled - track.at)
-        turn, shift = math.radians(self.config.drift_deg) * path, self.config.drift * path
-        grown = np.diag(np.repeat([turn**2, shift**2], 3))
-        return geometry.carried_covariance(track.covariance, T_now_then) + grown
+        path, config = max(0.0, self.travelled - h.at), self.config
+        tilt, turn, shift = (
+            path * drift
+            for drift in (
+                math.radians(config.drift_tilt_deg),
+                math.radians(config.drift_deg),
+                config.drift,
+            )
+        )
+        R = np.kron(np.eye(2), T_odom_sensor[:3, :3])  # from the sensor's axes to the odometry's
+        grown = R.T @ np.diag(np.square([tilt, tilt, turn, shift, shift, shift])) @ R
+        T_now_then = geometry.inverse(T_odom_sensor) @ h.T_odom_sensor
+        predicted: Float64 = geometry.carried_covariance(h.covariance, T_now_then) + grown
+        return predicted
 
     def _add(self, place: Reading, view: View) -> None:
-        """Add a place: support the hypotheses there, and take its share of "lost"."""
-        new, unknown, most = view.new_search, 1.0, self.config.max_log_ratio
-        for h in self.hypotheses:
-            if self._same(h.T_map_odom, place.T_map_odom, view.T_odom_sensor):
-                counted, unknown = (1.0 - new) * h.counted, new
-                h.probability *= math.exp(min(max(0.0, place.log_ratio - counted), most))
-                h.counted, h.views = max(place.log_ratio, counted), h.views + new
-                self._update_pose(h, place, view)
-        ratio = min(place.log_ratio, max(new, self.lost) * place.log_ratio)
-        ratio = min(ratio, _MAX_LOG_RATIO if self.lost >= 0.5 else most)
-        weight = unknown * self.lost * math.exp(ratio)
+        """Add a place: it takes its share of "lost"."""
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
-        self.hypotheses.append(Hypothesis(*where, weight, ratio))
+        self.hypotheses.append(Hypothesis(*where, self._found(place), place.evidence))
 
-    def _gain(self, h: Hypothesis, view: View) -> float:
-        """Return the log-ratio that the newest scan adds to a hypothesis."""
-        seen, most = view.checks.get(h.key), self.config.max_log_ratio
-        return 0.0 if seen is None else view.new_check * min(max(seen.known_ratio, -most), most)
+    def _found(self, place: Reading) -> float:
+        """Return the probability of a place, before normalisation, if it was lost before."""
+        return self.lost * math.exp(min(place.log_ratio, _MAX_LOG_RATIO))
 
-    def _check(self, h: Hypothesis, seen: Reading, view: View) -> None:
-        """Apply the newest scan. It was compared at few poses, so a fit restores leaked
-        probability, and adds none beyond what a search of the map found."""
-        gain, fits = self._gain(h, view), seen.log_ratio > 0.0
-        if fits:
-            h.views += view.new_check
-            self._update_pose(h, seen, view)
-        if gain > 0.0 and not h.accepted:
-            back = h.leaked if fits else 0.0
-            h.probability, self.lost = h.probability + back, max(0.0, self.lost - back)
-        else:
-            h.probability *= math.exp(gain)
-        h.leaked = 0.0
+    def _move(self, h: Hypothesis, seen: Reading, view: View) -> None:
+        """Correct the pose by a measured one, both by their covariances.
 
-    def _update_pose(self, h: Hypothesis, seen: Reading, view: View) -> None:
-        """Replace the pose by the measured one, if that alone would be accepted."""
-        p = self.min_confidence
-        if seen.covariance is not None and seen.log_ratio >= math.log(p / (1.0 - p)):
-            h.T_map_odom, h.covariance = seen.T_map_odom, seen.covariance
-            h.T_odom_sensor, h.at = view.T_odom_sensor, view.at
+        A correction beyond what both allow is made once the next view repeats it.
+        """
+        before, T_sensor = self._predicted(h, view.T_odom_sensor), view.T_odom_sensor
+        if seen.covariance is None or view.new == 0.0:
+            return
+        T, covariance = seen.T_map_odom, seen.covariance
+        if before is not None:
+            step = _step(h.T_map_odom @ T_sensor, T @ T_sensor)
+            both = before + seen.covariance / view.new
+            if step @ np.linalg.solve(both, step) <= _MOST_SQUARED:
+                gain = np.linalg.solve(both, before).T
+                T = h.T_map_odom @ T_sensor @ _moved(gain @ step) @ geometry.inverse(T_sensor)
+                covariance = before - gain @ before
+            elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
+                h.doubted = T
+                return
+        h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
+        h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
 
-    def _same(self, T_a: Pose, T_b: Pose, T_odom_sensor: Pose) -> bool:
-        """Return whether two T_map_odom give the sensor the same place."""
-        return not self._separation.apart(T_a @ T_odom_sensor, T_b @ T_odom_sensor)
+    def _repeats(self, doubted: Pose, seen: Reading, T_odom_sensor: Pose) -> bool:
+        """Return whether two measured poses agree, by the covariance of one."""
+        assert seen.covariance is not None
+        step = _step(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
+        squared = step @ np.linalg.solve(2.0 * seen.covariance, step)
+        return bool(squared <= _MOST_SQUARED)
 
-    def _merge(self, T_odom_sensor: Pose) -> None:
+    def _same(self, h: Hypothesis, T_map_odom: Pose, view: View) -> bool:
+        """Return whether a pose gives the sensor the place of a hypothesis."""
+        T_odom_sensor = view.T_odom_sensor
+        return not self._separation.apart(h.T_map_odom @ T_odom_sensor, T_map_odom @ T_odom_sensor)
+
+    def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
         merged: list[Hypothesis] = []
         for h in sorted(self.hypotheses, key=lambda h: -h.probability):
-            same = (m for m in merged if self._same(m.T_map_odom, h.T_map_odom, T_odom_sensor))
+            same = (m for m in merged if self._same(m, h.T_map_odom, view))
             if (m := next(same, None)) is None:
                 merged.append(h)
             else:
                 m.probability, m.key = m.probability + h.probability, min(m.key, h.key)
-                m.views, m.counted = max(m.views, h.views), max(m.counted, h.counted)
-                m.accepted = m.accepted or h.accepted
+                m.views, m.accepted = max(m.views, h.views), m.accepted or h.accepted
         self.hypotheses = merged
 
     def _normalize(self, before: Hypothesis | None) -> None:
@@ -293,3 +314,13 @@ class Belief:
 
     def _unsupported(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"
+
+
+def _step(T_from: Pose, T_to: Pose) -> Float64:
+    """Return the rotation vector [rad] and the translation [m] from one pose to another, (6,)."""
+    T = geometry.inverse(T_from) @ T_to
+    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+
+
+def _moved(step: Float64) -> Pose:
+    return geometry.rigid(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rich.progress import track
 
-from segloc import Config, Localizer, SegmentMap
+from segloc import Config, Localizer, Scan, SegmentMap
 from segloc.likelihood import aligned_measures, walls_over
 from segloc.proposals import Query
 from segloc.types import Float32, Float64, Int64, Pose
@@ -146,6 +146,11 @@ class World:
         for each in drives:
             yield from each.narrow()
         yield from bare(seed_of(self._folder))
+
+    def drives(self) -> Iterator[tuple[list[Scan], Float64]]:
+        """Yield all scans of each drive, with odometry poses, and their true poses (S, 4, 4)."""
+        for each in load_queries(self._folder / "queries.npz"):
+            yield each.scans(), each.truth
 
     @cached_property
     def maps(self) -> dict[str, SegmentMap]:

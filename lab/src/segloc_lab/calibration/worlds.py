@@ -247,10 +247,7 @@ class QuerySet:
         for (first, last), seed in zip(self.spans, self.thinning, strict=True):
             truth = self.truth[last]
             if first < last:
-                scans = [
-                    Scan(self._scan(i), T_odom_sensor=self.poses[i]) for i in range(first, last + 1)
-                ]
-                yield Made(self.sensor, "accumulated", scans, truth)
+                yield Made(self.sensor, "accumulated", self.scans(first, last + 1), truth)
             elif seed < 0:
                 yield Made(self.sensor, "single", [Scan(self._scan(last))], truth)
             else:
@@ -263,6 +260,11 @@ class QuerySet:
             if seed >= 0:
                 points = narrowed(self._scan(last), int(seed))
                 yield Made(self.sensor, "narrow", [Scan(points)], self.truth[last])
+
+    def scans(self, first: int = 0, end: int | None = None) -> list[Scan]:
+        """Return scans with odometry poses, by default all."""
+        numbers = range(len(self.poses))[first:end]
+        return [Scan(self._scan(i), T_odom_sensor=self.poses[i]) for i in numbers]
 
     def _scan(self, i: int) -> Float32:
         return self.points[self.offsets[i] : self.offsets[i + 1]]

@@ -182,7 +182,8 @@ def _examine(
 
 def _aligned(localizer: Localizer, scene: Segmentation, T: Pose) -> tuple[Pose, float]:
     """Refine the true pose by alignment; unchanged if the clouds do not match."""
-    refined = localizer.likelihood.at(localizer.likelihood.query(scene), T)
+    likelihood = localizer.likelihood
+    refined = likelihood.cloud.aligned(T, likelihood.query(scene))
     return (refined.T_map_local if refined.overlap >= _MIN_ALIGNED else T), refined.overlap
 
 

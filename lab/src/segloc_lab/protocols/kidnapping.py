@@ -1,12 +1,14 @@
 """Time until kidnapped robots are detected, if odometry does not notice.
 
     python -m segloc_lab.protocols.kidnapping --worlds 48 --out kidnapping.jsonl
+    python -m segloc_lab.protocols.kidnapping --alike --worlds 42 --trials 3 --out alike.jsonl
 
 A part of each world is mapped in one session and driven through in another, with other cars and a
 tenth of the things replaced. Each robot drives 40 m along the map. Then it is put to another street
 (20 m away at least), to a place that is not in the map, or turned on the spot, and drives on for
 100 m, or as far as the drive goes: if possible 60 m along the map. Its odometry drifts by 1 % and
-goes on as if nothing had happened.
+goes on as if nothing had happened. With ``--alike``, it is put to the place whose view is most
+alike by heights and free space all around it, 12 m away at least, turned as is most alike.
 Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of the truth, where the
 map has the place. Held: metres of the whole trial localized farther off than that.
 
@@ -35,6 +37,7 @@ from ..report import Cell, Table, earlier, keep, publish, resumed, share
 from ..simulation import PLATFORMS, SCENES, SENSORS, Conditions, OdometryNoise, simulate_sessions
 
 BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
+ALIKE_M = 12.0
 TURN_DEG = (40.0, 180.0)
 OFF_M, OFF_DEG = 2.0, 10.0
 NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
@@ -42,6 +45,9 @@ MAPPED_SHARE = 0.6
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
 WAYS = ("street", "turn", "outside")
 """Places to which robots are kidnapped."""
+ALIKE = "alike"
+SECTORS, REACH_M, TALL_M = 60, 40.0, 6.0
+"""Directions in which views are compared, and where distances and heights are cut off."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,16 @@ KINDS = (
     Kind("warehouse", "vlp16", 80.0, 220.0, 0.5, "wheeled"),
 )
 """Used in turn."""
+ALIKE_KINDS = (
+    Kind("offices", "os1-64", 80.0, 220.0, 0.5, "wheeled"),
+    Kind("warehouse", "vlp16", 80.0, 220.0, 0.5, "wheeled"),
+    Kind("building", "os1-64", 60.0, 220.0, 0.5, "quadruped"),
+    Kind("offices", "vlp16", 80.0, 220.0, 0.5, "wheeled"),
+    Kind("mine", "os1-64", 150.0, 300.0, 1.0, "wheeled"),
+    Kind("town", "vlp16"),
+    Kind("park", "os1-64", 250.0),
+)
+"""Those of ``--alike``."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +179,44 @@ class World:
         way = WAYS[number % len(WAYS)]
         taken, put, way = self._places(way, rng)
         degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
-        carried = self._carried(taken, put, np.radians(degrees), rng)
+        return self._tried(number, way, taken, put, np.radians(degrees), rng)
+
+    def alike(self, number: int) -> Trial | None:
+        """Return one trial of a robot that is put to where most is alike; None without a place."""
+        rng, spacing = np.random.default_rng([self.seed, number]), self.kind.spacing_m
+        known = self.known[self.known >= BEFORE_M / spacing]
+        stretches = (self._whole(self._inside, m) for m in (RECOVERED_M, RECOVERED_M / 2))
+        there = next((found for found in stretches if len(found)), known)[:: round(2.0 / spacing)]
+        if not len(known):
+            return None
+        taken = int(rng.choice(known))
+        off = self.truths[there, :3, 3] - self.truths[taken, :3, 3]
+        there = there[np.linalg.norm(off, axis=1) >= ALIKE_M]
+        if not len(there):
+            return None
+        views = {int(k): self._view(int(k)) for k in (taken, *there)}
+        unlike = {k: _unlike(views[taken], views[k]) for k in there.tolist()}
+        put = min(unlike, key=lambda k: unlike[k])
+        return self._tried(number, ALIKE, taken, put, unlike[put][1], rng)
+
+    def _view(self, position: int) -> Float64:
+        """Return the distance and the height of what is nearest in each direction, (2, S)."""
+        T = self.truths[position]
+        points = self.drive.scan(position).points.astype(np.float64)
+        points = points @ (geometry.inverse(geometry.levelled(T)) @ T)[:3, :3].T
+        reach = np.hypot(points[:, 0], points[:, 1])
+        turn = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
+        sector = np.minimum((turn * SECTORS / (2.0 * np.pi)).astype(int), SECTORS - 1)
+        view = np.stack([np.full(SECTORS, REACH_M), np.zeros(SECTORS)])
+        stands = (points[:, 2] > -0.5) & (reach < REACH_M)
+        np.minimum.at(view[0], sector[stands], reach[stands])
+        np.maximum.at(view[1], sector[stands], np.minimum(points[stands, 2], TALL_M))
+        return view / [[REACH_M], [TALL_M]]
+
+    def _tried(
+        self, number: int, way: str, taken: int, put: int, turn: float, rng: np.random.Generator
+    ) -> Trial:
+        carried = self._carried(taken, put, turn, rng)
         truths = self.truths[carried.positions] @ carried.turns
         played = play(self.localizer, carried)
         return self._judged(number, way, played, carried, truths)
@@ -246,6 +299,13 @@ class World:
         )
 
 
+def _unlike(here: Float64, there: Float64) -> tuple[float, float]:
+    """Return how views differ at most alike, and the turn of the sensor there [rad]."""
+    differ = [np.abs(here - np.roll(there, k, axis=1)).mean() for k in range(SECTORS)]
+    least = int(np.argmin(differ))
+    return float(differ[least]), -2.0 * np.pi * least / SECTORS
+
+
 COLUMNS = (
     "world",
     "sensor",
@@ -264,10 +324,11 @@ COLUMNS = (
 def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
     """Return one row per kind of world, one per way, and one of all."""
     rows = []
-    for kind in KINDS:
-        here = [t for t in found if (t.scene, t.sensor) == (kind.scene, kind.sensor)]
-        rows.append(_row((kind.scene, kind.sensor, "all"), here))
-    rows += [_row(("all", "all", way), [t for t in found if t.way == way]) for way in WAYS]
+    for scene, sensor in dict.fromkeys((t.scene, t.sensor) for t in found):
+        here = [t for t in found if (t.scene, t.sensor) == (scene, sensor)]
+        rows.append(_row((scene, sensor, "all"), here))
+    ways = dict.fromkeys(t.way for t in found)
+    rows += [_row(("all", "all", way), [t for t in found if t.way == way]) for way in ways]
     return [*rows, _row(("all", "all", "all"), found)]
 
 
@@ -315,6 +376,7 @@ def main() -> None:
     options.add_argument("--worlds", type=int, default=48)
     options.add_argument("--trials", type=int, default=5, help="in each world")
     options.add_argument("--first-seed", type=int, default=4104)
+    options.add_argument("--alike", action="store_true", help="carry them to where most is alike")
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
     args = options.parse_args()
@@ -328,9 +390,13 @@ def main() -> None:
         for number in range(args.trials):
             if (seed, number) in done or time.monotonic() - begun > args.seconds:
                 continue
-            world = world or World(KINDS[seed % len(KINDS)], seed)
-            if len(world.known):  # a drive need not meet the map
-                keep(args.out, asdict(world.trial(number)))
+            kinds = ALIKE_KINDS if args.alike else KINDS
+            world = world or World(kinds[seed % len(kinds)], seed)
+            if not len(world.known):  # a drive need not meet the map
+                continue
+            trial = world.alike(number) if args.alike else world.trial(number)
+            if trial is not None:
+                keep(args.out, asdict(trial))
     report(read([args.out]), args.report)
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from segloc import Localization, Prior, Scan, SeglocError, geometry
+from segloc import Localization, Scan, SeglocError, geometry
 from segloc.doctor.finding import Fault
 from segloc.doctor.scan_faults import scan_findings
 from segloc.live import LiveCore
-from segloc.live.core import PendingQuery
 from segloc.pipeline import Search
 from segloc.proposals.proposer import Query
+from segloc.tracker import QueryRequest
 from segloc.tracking.belief import View
 from segloc.types import Float64, Pose
 
@@ -27,11 +27,10 @@ _Z_UP = "publish odometry with z up (REP 103), or check the mount of the LiDAR"
 
 @dataclass(frozen=True)
 class Job:
-    """A query that is due, where alone it may search, and scans to check if it fails."""
+    """A query that is due, and scans to check if it fails."""
 
     core: LiveCore
-    asked: PendingQuery
-    near: Prior | None
+    asked: QueryRequest
     scans: tuple[Scan, ...] = ()
 
 
@@ -103,7 +102,7 @@ def make(job: Job) -> Answer:
     """Make a query."""
     found: list[tuple[Query, Search, Localization]] = []
     try:
-        view = job.core.ask(job.asked, near=job.near, callback=lambda *all_of: found.append(all_of))
+        view = job.core.ask(job.asked, callback=lambda *all_of: found.append(all_of))
     except SeglocError as error:
         return Answer(job, None, message=str(error))
     if not found:

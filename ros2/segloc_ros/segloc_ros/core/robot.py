@@ -331,7 +331,7 @@ class Robot:
         if self.trigger.resting:
             core.answer(asked, None)
             return None
-        return Job(core, asked, near, () if self.hint else self._checked.take())
+        return Job(core, replace(asked, near=near), () if self.hint else self._checked.take())
 
     def _fixed(self, stamp: float) -> Prior | None:
         """Return a prior around the newest fix, in every other query while not localized."""
