@@ -283,6 +283,19 @@ class Tracker:
         if request.epoch == self._epoch and self.belief.update(view):
             self._restart_window()
 
+    def suppose(self, T_map_odom: ArrayLike, probability: float = 0.5) -> None:
+        """Take a pose known from elsewhere, as from another map, until views confirm or refute it.
+
+        Parameters
+        ----------
+        T_map_odom : (4, 4) array
+        probability : float
+            That it is right, in (0, 1).
+        """
+        T = checked_pose(T_map_odom, "T_map_odom")
+        self.belief.suppose(T, np.eye(4) if self._last is None else self._last, probability)
+        self._searched = -math.inf
+
     def follow_jump(self, T_new_old: ArrayLike, problem: str) -> None:
         """Follow a jump of the odometry, as of a robot at rest; the track becomes less certain.
 

@@ -173,6 +173,13 @@ class Belief:
         self.problem = problem
         self.move(self.config.jump_m)
 
+    def suppose(self, T_map_odom: Pose, T_odom_sensor: Pose, probability: float) -> None:
+        """Take a pose known from elsewhere instead of all hypotheses, until views confirm it."""
+        self.clear()
+        self._count += 1
+        where = self._count, T_map_odom, T_odom_sensor, None, self.travelled
+        self.hypotheses, self.lost = [Hypothesis(*where, probability, 0.0, 0.0)], 1.0 - probability
+
     def update(self, view: View) -> bool:
         """Update by Bayes' rule: every place is compared with the same cloud.
 

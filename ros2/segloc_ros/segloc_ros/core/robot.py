@@ -106,6 +106,7 @@ class Robot:
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
         self._told: Pose | None = None  # T_map_odom that a tracker has, or nothing is believed
+        self._supposed: Pose | None = None  # T_map_odom of a map that was switched to
 
     @property
     def faults(self) -> dict[str, str]:
@@ -138,13 +139,15 @@ class Robot:
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
         """Take another map and search it.
 
-        With ``T_new_old``, between the maps' frames, near the last pose first, seen from above.
+        With ``T_new_old``, between the maps' frames, the last pose is supposed there until views
+        confirm it, and it is searched near that pose first, seen from above.
         """
-        pose = self._now()
+        pose, prior = self._now(), None
         self.use(localizer)
-        prior = None
         if T_new_old is not None and pose is not None:
-            prior = Prior((T_new_old @ pose[0])[:2, 3], self.settings.click_radius_m)
+            T_map_base = T_new_old @ pose[0]
+            prior = Prior(T_map_base[:2, 3], self.settings.click_radius_m)
+            self._supposed = T_map_base @ geometry.inverse(pose[1])
         self.relocalize(prior)
 
     def report_map(self, path: str, fault: str, request_fault: str = "") -> None:
@@ -430,6 +433,9 @@ class Robot:
             for stamp, T in self._odometry:
                 self._core.add_odometry(stamp, T)
             self._jumps = self._core.jumps
+            if self._supposed is not None:
+                self._core.tracker.suppose(self._supposed)
+                self._supposed = None
         return self._core
 
     def _moved(self, odometry: list[Stamped]) -> list[Reply]:
