@@ -30,6 +30,8 @@ QueryCallback = Callable[[Query, Search, Localization], None]
 """Receives a query, the result of its search, and the answer."""
 
 _MIN_PROBABILITY = 1e-300
+_WEAK = 1.5
+"""Evidence of a view for the track below which the map is searched at once."""
 _MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
 """Most hypotheses that a view is compared at, and their least probability."""
 
@@ -276,7 +278,7 @@ class Tracker:
         apart, T = self.localizer.likelihood.separation.apart, view.T_odom_sensor
         here = (p for p in view.places if not apart(p.T_map_odom @ T, T_map_odom @ T))
         seen = next(here, None)
-        return seen is not None and seen.evidence < 0.0
+        return seen is not None and seen.evidence < _WEAK
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Update the hypotheses by a view, the last third of :meth:`update`."""

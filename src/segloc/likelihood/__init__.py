@@ -3,6 +3,7 @@
 from .config import VerificationConfig as VerificationConfig
 from .model import CHANCE_RIVAL as CHANCE_RIVAL
 from .model import FEATURES as FEATURES
+from .model import Known as Known
 from .model import Model as Model
 from .model import Promise as Promise
 from .model import aligned_measures as aligned_measures

@@ -1,37 +1,59 @@
-"""Fit what a view says about a pose that is known already: that of a tracker.
+r"""Fit what a view says about a pose that is known already: that of a tracker.
 
-Each drive of the worlds (:mod:`.worlds`) is followed scan by scan, at every 2 m, in the map of its
+Each drive of the worlds (:mod:`.worlds`) is followed scan by scan, every 2 m, in the map of its
 world and in the first half of it, past whose end the robot drives; a fifth of the things are
 replaced. A scan is compared at the true pose, and at wrong ones: every :data:`EVERY`-th scan is
 searched, and from the likeliest wrong places robots that believe to be there drive on by the same
-odometry, as one that was carried to a place that looks alike does.
+odometry, as one that was carried to a place that looks alike does. Each drive is followed again
+with narrow views, and with people around the sensor in every third scan.
 
-    python -m segloc_lab.calibration.known rows/fit --out known.npz --every 3
+The model is a logistic regression of right and wrong, each counted as much, fitted to what single
+views and three in succession say together: what differs from the map is seen again in the next
+view, so that views say less than independent ones would. Rows are kept, one array a world.
+
+    python -m segloc_lab.calibration.known rows/fit --every 3 --out known.npz \
+        --model src/segloc/weights/posterior.json
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 
 from segloc import Config, Localizer, Scan, geometry
-from segloc.likelihood import FEATURES, ScoredPose
+from segloc.likelihood import FEATURES, Known, ScoredPose
 from segloc.system.processes import in_parallel
-from segloc.types import Float64, LocalCloud, Pose
+from segloc.types import Float32, Float64, Int64, LocalCloud, Pose
 
-from ..script import parser
+from ..report import Cell, Table, command, publish, reporting
 from .rows import World, errors, is_right, worlds_of
-from .worlds import narrowed
+from .worlds import kind_of, narrowed, seed_of
 
 EVERY, HELD = 6, 2
 """Scans between searches, and the wrong places held from each until the next."""
 SEARCHED = ("own", "half")
-COLUMNS = ("map", "narrow", "track", "step", "right", "log_ratio", "unknown", *FEATURES)
+WHOLE, NARROW, CROWDED = range(3)
+"""Ways of seeing."""
+CROWD, CROWD_M, CROWD_SHARE = 3, (0.8, 3.0), (0.5, 0.9)
+"""Scans of which one is crowded, distance of the people, and the share of directions they block."""
+COLUMNS = ("map", "seen", "track", "step", "right", "unknown", *FEATURES)
+TOGETHER = (1, 3)
+"""Views in succession to which the model is fitted."""
+UNUSED = "inliers_over_rival"
+"""Segments are not matched where a pose is known."""
+RIDGE = 2e-4
+SHARES = (1, 5, 50, 95, 99)
 Row = tuple[float, ...]
+Mask = NDArray[np.bool_]
 
 
 def rows_of(world: World, config: Config) -> Float64:
@@ -40,19 +62,36 @@ def rows_of(world: World, config: Config) -> Float64:
     for m, name in enumerate(SEARCHED):
         localizer = Localizer(world.maps[name], config)
         for n, (scans, truths) in enumerate(world.drives()):
-            rows += ((m, 0, *row) for row in _followed(localizer, scans, truths, n))
-            few = [
-                Scan(narrowed(s.points, k), T_odom_sensor=s.T_odom_sensor)
-                for k, s in enumerate(scans)
-            ]
-            rows += ((m, 1, *row) for row in _followed(localizer, few, truths, n))
+            for way in (WHOLE, NARROW, CROWDED):
+                seen = [_seen(scan, k, way) for k, scan in enumerate(scans)]
+                rows += ((m, way, *row) for row in _followed(localizer, seen, truths, n))
     return np.array(rows, np.float64).reshape(-1, len(COLUMNS))
+
+
+def _seen(scan: Scan, number: int, way: int) -> Scan:
+    points = scan.points
+    if way == NARROW:
+        points = narrowed(points, number)
+    if way == CROWDED and number % CROWD == 0:
+        points = crowded(points, number)
+    return Scan(points, T_odom_sensor=scan.T_odom_sensor)
+
+
+def crowded(points: Float32, seed: int) -> Float32:
+    """Let people stand around the sensor: rays in some directions end at them."""
+    rng = np.random.default_rng([seed, len(points)])
+    sector = (np.arctan2(points[:, 1], points[:, 0]) * 18 / np.pi).astype(int) + 18
+    blocked = rng.random(37) < rng.uniform(*CROWD_SHARE)
+    away = rng.uniform(*CROWD_M, 37)[sector]
+    reach = np.linalg.norm(points, axis=1)
+    shorter = np.where(blocked[sector] & (reach > away), away / np.maximum(reach, 1e-6), 1.0)
+    return np.asarray(points * shorter[:, None], np.float32)
 
 
 def _followed(
     localizer: Localizer, scans: list[Scan], truths: Float64, drive: int
 ) -> Iterator[Row]:
-    """Yield the track, step, label, log-ratio and unknown share of each comparison."""
+    """Yield the track, the step, the label, the unknown share and the features of comparisons."""
     held: list[Pose] = []
     before: Pose | None = None
     for i, (scan, truth) in enumerate(zip(scans, truths, strict=True)):
@@ -70,15 +109,14 @@ def _followed(
         before, step = T_odom_sensor, i % EVERY
         at = _compared(localizer, cloud, truth)
         if at is not None:
-            yield 100 * drive, i, 1, at.log_ratio, at.unknown, *at.features
+            yield 1000 * drive, i, 1, at.unknown, *at.features
         for k, T in enumerate(held):
             at = _compared(localizer, cloud, T)
             if at is None:
                 continue
             held[k] = T_there = at.T_map_local @ T_local_sensor
-            right = bool(is_right(*errors(T_there, truth)))
-            number = 100 * drive + i // EVERY * HELD + k + 1
-            yield number, step, right, at.log_ratio, at.unknown, *at.features
+            number = 1000 * drive + i // EVERY * HELD + k + 1
+            yield number, step, bool(is_right(*errors(T_there, truth))), at.unknown, *at.features
 
 
 def _compared(localizer: Localizer, cloud: LocalCloud, T_map_sensor: Pose) -> ScoredPose | None:
@@ -89,17 +127,150 @@ def _compared(localizer: Localizer, cloud: LocalCloud, T_map_sensor: Pose) -> Sc
     return next((place for place in places if not apart(place.T_map_local, T)), None)
 
 
+@dataclass(frozen=True)
+class Views:
+    """Comparisons of views, those of a robot one after another.
+
+    Attributes
+    ----------
+    features : (N, K) float64
+        Of :data:`segloc.likelihood.FEATURES`.
+    unknown : (N,) float64
+    right : (N,) bool
+    seen, robot, step : (N,)
+        Way of seeing, number of the robot, and of the view on its way.
+    world : (N,) int64
+    kinds : sequence of str
+        Kind of each world.
+    """
+
+    features: Float64
+    unknown: Float64
+    right: Mask
+    seen: Int64
+    robot: Int64
+    step: Int64
+    world: Int64
+    kinds: Sequence[str]
+
+    @classmethod
+    def of(cls, worlds: dict[str, Float64]) -> Views:
+        """Join the rows of worlds."""
+        rows = np.concatenate(list(worlds.values()))
+        world = np.repeat(np.arange(len(worlds)), [len(each) for each in worlds.values()])
+        keys = np.column_stack([world, rows[:, :3]])
+        robot = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+        order = np.lexsort((rows[:, 3], robot))
+        rows, world, robot = rows[order], world[order], robot[order]
+        seen, step = rows[:, 1].astype(np.int64), rows[:, 3].astype(np.int64)
+        kinds = [kind_of(name) for name in worlds]
+        return cls(rows[:, 6:], rows[:, 5], rows[:, 4] > 0, seen, robot, step, world, kinds)
+
+    def together(self, count: int) -> Int64:
+        """Return the rows of so many views in succession, all right or all wrong, (M, count)."""
+        every = np.arange(len(self.robot) - count + 1)[:, None] + np.arange(count)
+        first, last = every[:, 0], every[:, -1]
+        goes_on = self.robot[first] == self.robot[last]
+        goes_on &= self.step[last] - self.step[first] == count - 1
+        same = (self.right[every] == self.right[first][:, None]).all(axis=1)
+        found: Int64 = every[goes_on & same]
+        return found
+
+    def evidence(self, known: Known) -> Float64:
+        """Compute what each view says, (N,)."""
+        rows = zip(self.features.tolist(), self.unknown.tolist(), strict=True)
+        return np.array([known.evidence(features, unknown) for features, unknown in rows])
+
+
+def fitted(views: Views, chosen: Mask) -> Known:
+    """Fit the model to the views of some worlds."""
+    used = [k for k, name in enumerate(FEATURES) if name != UNUSED]
+    X = np.column_stack([np.ones(len(views.robot)), views.features[:, used]])
+    runs = [run[chosen[views.world[run[:, 0]]]] for run in map(views.together, TOGETHER)]
+
+    def loss(p: Float64) -> float:
+        misleading = 0.5 * expit(p[-2])
+        share = misleading + (1.0 - 2.0 * misleading) * expit(X @ p[: X.shape[1]])
+        said = (1.0 - views.unknown ** np.exp(p[-1])) * logit(share)
+        total = RIDGE * float((p[1 : X.shape[1]] ** 2).sum())
+        for run in runs:
+            right, sums = views.right[run[:, 0]], said[run].sum(axis=1)
+            total += float(np.logaddexp(0.0, -sums[right]).mean())
+            total += float(np.logaddexp(0.0, sums[~right]).mean())
+        return total
+
+    start = np.concatenate([[-1.0], np.ones(len(used)), [-4.0, 1.0]])
+    found = minimize(loss, start, method="BFGS", options={"gtol": 1e-4}).x
+    weights = np.zeros(len(FEATURES) + 1)
+    weights[[0, *(k + 1 for k in used)]] = found[: X.shape[1]]
+    return Known(
+        weights=tuple(round(float(w), 3) for w in weights),
+        misleading=round(float(0.5 * expit(found[-2])), 5),
+        power=round(float(np.exp(found[-1])), 2),
+    )
+
+
+def held_out(views: Views) -> Float64:
+    """Compute what each view says by a fit to other worlds, (N,)."""
+    said = np.empty(len(views.robot))
+    for half in range(2):
+        here = np.arange(len(views.kinds)) // 7 % 2 == half
+        chosen = here[views.world]
+        said[chosen] = views.evidence(fitted(views, ~here))[chosen]
+    return said
+
+
+def table(views: Views, said: Float64) -> Table:
+    """Show what views say together at right and at wrong poses, by kind and way of seeing."""
+    kinds = np.array(views.kinds)[views.world]
+    parts = {name: (kinds == name) & (views.seen == WHOLE) for name in dict.fromkeys(views.kinds)}
+    ways = {"whole views": WHOLE, "narrow views": NARROW, "crowded": CROWDED}
+    parts |= {name: views.seen == way for name, way in ways.items()}
+    rows = list[tuple[Cell, ...]]()
+    for name, part in parts.items():
+        for count in TOGETHER:
+            runs = views.together(count)
+            runs = runs[part[runs[:, 0]]]
+            right, sums = views.right[runs[:, 0]], said[runs].sum(axis=1)
+            for label, here in (("right", right), ("wrong", ~right)):
+                spread = np.percentile(sums[here], SHARES).round(1) if here.any() else []
+                cells = (*(float(v) for v in spread), *[None] * (len(SHARES) - len(spread)))
+                rows.append((name, count, label, int(here.sum()), *cells))
+    columns = ("views", "together", "pose", "n", *(f"{share} %" for share in SHARES))
+    note = "Each half of the worlds by a fit to the other."
+    return Table(columns, rows, note, "Evidence at right and at wrong poses")
+
+
 def main() -> None:
-    options = parser(__doc__)
-    options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    options = reporting(__doc__)
+    options.add_argument("worlds", type=Path, nargs="?", help="folder of generated worlds")
     options.add_argument("--out", type=Path, default=Path("known.npz"))
+    options.add_argument("--rows", type=Path, help="rows of an earlier run")
     options.add_argument("--every", type=int, default=1, help="take each Nth world")
     options.add_argument("--workers", type=int, default=1, help="processes")
+    options.add_argument("--model", type=Path, help="file of the model that is replaced")
     args = options.parse_args()
-    chosen = worlds_of(args.worlds)[:: args.every]
-    found = in_parallel(partial(rows_of, config=Config(threads=1)), chosen, args.workers)
-    rows = {chosen[k].name: each for k, each in track(found, "worlds", total=len(chosen))}
-    np.savez_compressed(args.out, **rows)  # type: ignore[arg-type]
+    if args.rows is None:
+        chosen = worlds_of(args.worlds)[:: args.every]
+        found = in_parallel(partial(rows_of, config=Config(threads=1)), chosen, args.workers)
+        rows = {chosen[k].name: each for k, each in track(found, "worlds", total=len(chosen))}
+        np.savez_compressed(args.out, **rows)  # type: ignore[arg-type]
+    with np.load(args.rows or args.out) as kept:
+        worlds = {name: kept[name] for name in sorted(kept, key=lambda name: seed_of(Path(name)))}
+    views = Views.of(worlds)
+    known = fitted(views, np.ones(len(worlds), bool))
+    weights = Table(("", "value"), [*zip(("constant", *FEATURES), known.weights, strict=True)])
+    publish(args.report, "What a view says of a known pose", table(views, held_out(views)), weights)
+    if args.model is not None:
+        model = json.loads(args.model.read_text("utf-8"))
+        model["known"] = known.model_dump()
+        seeds = [seed_of(Path(name)) for name in worlds]
+        model["card"]["known"] = {
+            "command": command(),
+            "data": f"{len(worlds)} of the worlds (seeds {seeds[0]} to {seeds[-1]}), "
+            f"{len(views.robot)} comparisons",
+        }
+        args.model.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
 if __name__ == "__main__":
