@@ -28,9 +28,11 @@ auto align_(const Surface& target, const Surface& source, const In2<double>& T_t
     nb::gil_scoped_release release;
     result = align(target, source, start, options, threads);
   }
-  return std::make_tuple(matrix_of(result.T),
-                         to_numpy(std::vector<double>(result.H.begin(), result.H.end()), {6, 6}),
-                         result.error, result.inliers, result.iterations);
+  const auto square = [](const std::array<double, 36>& values) {
+    return to_numpy(std::vector<double>(values.begin(), values.end()), {6, 6});
+  };
+  return std::make_tuple(matrix_of(result.T), square(result.H), square(result.motion), result.error,
+                         result.inliers, result.iterations);
 }
 
 void require_surface(const In2<float>& points, double max_correspondence_distance,
@@ -76,17 +78,17 @@ auto sampled_(const Surface& surface, std::size_t most) {
   return to_numpy(std::move(points), {rows, 3});
 }
 
-// Codes of the points of `sampled`.
-auto on_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
-               double least_slope, double most_slope, double tolerance, std::size_t most) {
+// Distances of the points of `sampled`.
+auto off_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
+                double least_slope, double most_slope, std::size_t most) {
   const Rigid T = rigid_of(T_target_source, "T_target_source");
   const std::size_t step = step_of(source, most);
-  std::vector<std::uint8_t> codes;
+  std::vector<float> distances;
   {
     nb::gil_scoped_release release;
-    codes = on_plane(target, source, T, step, {least_slope, most_slope}, tolerance);
+    distances = off_plane(target, source, T, step, {least_slope, most_slope});
   }
-  return to_numpy(std::move(codes));
+  return to_numpy(std::move(distances));
 }
 
 }  // namespace
@@ -108,8 +110,8 @@ void bind_registration(nb::module_& m) {
           nb::arg("tiled") = false)
       .def("__len__", &Surface::size)
       .def("sampled", &sampled_, nb::arg("most"))
-      .def("on_plane", &on_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
-           nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("tolerance"), nb::arg("most"))
+      .def("off_plane", &off_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
+           nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("most"))
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("max_iterations") = 20, nb::arg("threads") = 0, nb::arg("max_final") = 6);
 }

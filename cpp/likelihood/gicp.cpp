@@ -70,17 +70,15 @@ class Problem {
     })[kError];
   }
 
-  // Half of J'J of each pair: what it says along its surface, where any point is as good as another.
-  std::array<double, 36> along() {
+  // Sums J'J of the pairs.
+  std::array<double, 36> motion() {
     double n = 0.0, s[3] = {}, ss[3][3] = {};
     for (std::size_t i = 0; i < count_; ++i) {
       if (targets_[i] == kNoPoint) continue;
-      n += 0.5;
+      n += 1.0;
       for (std::size_t a = 0; a < 3; ++a) {
-        s[a] += 0.5 * row(kSource + a)[i];
-        for (std::size_t b = 0; b < 3; ++b) {
-          ss[a][b] += 0.5 * row(kSource + a)[i] * row(kSource + b)[i];
-        }
+        s[a] += row(kSource + a)[i];
+        for (std::size_t b = 0; b < 3; ++b) ss[a][b] += row(kSource + a)[i] * row(kSource + b)[i];
       }
     }
     const double squared = ss[0][0] + ss[1][1] + ss[2][2];
@@ -282,12 +280,11 @@ void optimise(Problem& problem, int iterations, const GicpOptions& options, Gicp
   }
 }
 
-// Leaves what the pairs say across their surfaces, as much as all points would.
-void across(Problem& problem, std::size_t stride, GicpResult& result) {
-  const auto along = problem.along();
-  for (std::size_t k = 0; k < along.size(); ++k) {
-    result.H[k] = (result.H[k] - along[k]) * static_cast<double>(stride);
-  }
+// Scales the sums over every `stride`-th point to those over all.
+void scale(Problem& problem, std::size_t stride, GicpResult& result) {
+  result.motion = problem.motion();
+  for (double& h : result.H) h *= static_cast<double>(stride);
+  for (double& m : result.motion) m *= static_cast<double>(stride);
 }
 
 }  // namespace
@@ -301,7 +298,7 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
     Problem few(target, source, rough, threads);
     optimise(few, options.max_iterations, options, result);
     if (options.max_final == 0) {
-      across(few, rough, result);
+      scale(few, rough, result);
       return result;
     }
   }
@@ -309,7 +306,7 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
   const std::size_t stride = std::max<std::size_t>(1, share);
   Problem most(target, source, stride, threads);
   optimise(most, rough > 1 ? options.max_final : options.max_iterations, options, result);
-  across(most, stride, result);
+  scale(most, stride, result);
   return result;
 }
 

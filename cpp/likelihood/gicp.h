@@ -20,9 +20,10 @@ struct GicpOptions {
 
 struct GicpResult {
   Rigid T;                     // takes the source to the target
-  std::array<double, 36> H{};  // curvature of half the squared error across surfaces, in (rotation,
-                               // translation) of the source's frame, (6, 6) row-major, as of all
-                               // points: along its surface a pair tells nothing
+  std::array<double, 36> H{};  // curvature of half the squared error in (rotation, translation) of
+                               // the source's frame, (6, 6) row-major, as of all points
+  std::array<double, 36> motion{};  // the same of the squared motion of the points: H by this is
+                                    // what a pair tells of a motion on average
   double error = 0.0;          // half the sum of squared errors, each in units of its deviation
   std::size_t inliers = 0;     // points that were aligned and have a correspondence
   int iterations = 0;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "common/principal_axes.h"
@@ -101,12 +102,12 @@ std::vector<std::uint32_t> every(const Surface& surface, std::size_t step) {
   return sampled;
 }
 
-std::vector<std::uint8_t> on_plane(const Surface& target, const Surface& source, const Rigid& T,
-                                   std::size_t step, const Slope& slope, double tolerance) {
+std::vector<float> off_plane(const Surface& target, const Surface& source, const Rigid& T,
+                             std::size_t step, const Slope& slope) {
   const auto known = [](const Surface::Normal& n) { return n[0] != 0 || n[1] != 0 || n[2] != 0; };
   const std::vector<std::uint32_t> sampled = every(source, step);
   const std::vector<Surface::Normal> own = source.normals(sampled);
-  std::vector<std::uint8_t> codes(sampled.size(), std::uint8_t(OnPlane::kOther));
+  std::vector<float> distances(sampled.size(), std::numeric_limits<float>::quiet_NaN());
   std::vector<std::size_t> sloping;
   std::vector<std::array<double, 3>> moved;
   std::vector<float> places;
@@ -116,7 +117,7 @@ std::vector<std::uint8_t> on_plane(const Surface& target, const Surface& source,
     if (!known(n) || !(up > slope.least && up < slope.most)) continue;
     const PointGrid::Point s = source.grid()[sampled[k]];
     const double p[3] = {s[0], s[1], s[2]};
-    codes[k] = std::uint8_t(OnPlane::kAlone);
+    distances[k] = std::numeric_limits<float>::infinity();
     sloping.push_back(k);
     moved.push_back(T.apply(p));
     for (const double v : moved.back()) places.push_back(static_cast<float>(v));
@@ -136,10 +137,9 @@ std::vector<std::uint8_t> on_plane(const Surface& target, const Surface& source,
     const PointGrid::Point t = target.grid()[targets[k]];
     const std::array<double, 3>& p = moved[k];
     const double off = n[0] * (p[0] - t[0]) + n[1] * (p[1] - t[1]) + n[2] * (p[2] - t[2]);
-    const bool on = std::abs(off) < tolerance;
-    codes[sloping[k]] = std::uint8_t(on ? OnPlane::kOn : OnPlane::kOff);
+    distances[sloping[k]] = static_cast<float>(std::abs(off));
   }
-  return codes;
+  return distances;
 }
 
 }  // namespace segloc

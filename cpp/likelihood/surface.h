@@ -64,19 +64,12 @@ struct Slope {  // limits of the vertical part of a unit normal
   double least, most;
 };
 
-enum class OnPlane : std::uint8_t {
-  kOther = 0,  // of another slope, or without a normal
-  kOn = 1,     // on the plane of the nearest point
-  kOff = 2,    // off it
-  kAlone = 3,  // no point with a normal is near
-};
-
 // Every `step`-th point, by its place in the grid's order.
 std::vector<std::uint32_t> every(const Surface& surface, std::size_t step);
 
-// Codes, of OnPlane, of every `step`-th point of a transformed source: whether its own normal has
-// the given slope, and it lies within the tolerance of the plane of the nearest target point [m].
-std::vector<std::uint8_t> on_plane(const Surface& target, const Surface& source, const Rigid& T,
-                                   std::size_t step, const Slope& slope, double tolerance);
+// Distances [m] of every `step`-th point of a transformed source from the plane of the nearest
+// target point: infinite where none with a normal is near, NaN if its own normal has another slope.
+std::vector<float> off_plane(const Surface& target, const Surface& source, const Rigid& T,
+                             std::size_t step, const Slope& slope);
 
 }  // namespace segloc

@@ -72,9 +72,11 @@ def make_query(seed: int) -> Query:
     wrong = _elsewhere(localizer, scene, found.matches, truth)
     likelihood = localizer.likelihood
     cloud = likelihood.query(scene)
-    refined = [
-        replace(likelihood.at(cloud, h.T_map_local), inliers=h.inliers) for h in (best, wrong)
-    ]
+    refined = []
+    for h in (best, wrong):
+        place = likelihood.compared(cloud, [h.T_map_local]).at(h.T_map_local, likelihood.separation)
+        assert place is not None
+        refined.append(replace(place, inliers=h.inliers))
     return Query(localizer, described, found.matches, *refined)
 
 

@@ -153,15 +153,14 @@ class Surface:
     ) -> None: ...
     def __len__(self) -> int: ...
     def sampled(self, most: int) -> NDArray[np.float32]: ...
-    def on_plane(
+    def off_plane(
         self,
         source: Surface,
         T_target_source: NDArray[np.float64],
         least_slope: float,
         most_slope: float,
-        tolerance: float,
         most: int,
-    ) -> NDArray[np.uint8]: ...
+    ) -> NDArray[np.float32]: ...
     def align(
         self,
         source: Surface,
@@ -169,7 +168,7 @@ class Surface:
         max_iterations: int = 20,
         threads: int = 0,
         max_final: int = 6,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int, int]: ...
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float, int, int]: ...
 
 class PointIndex:
     def __init__(self, points: NDArray[np.float32], radius: float) -> None: ...

@@ -14,7 +14,7 @@ from segloc.geometry import Separation
 from segloc.likelihood import Count, Likelihood, Posterior
 from segloc.likelihood.nearby import NearbyConfig, NearbySearch
 from segloc.likelihood.next_view import next_view
-from segloc.likelihood.observation import ALONE, OFF, ON, close_surface
+from segloc.likelihood.observation import close_surface
 from segloc.localization import Reason
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 
@@ -83,9 +83,8 @@ def counted(
     target: _native.Surface, source: _native.Surface, T: Pose, slope: tuple[float, float], m: float
 ) -> Count:
     """Count the points of a slope that lie on a surface within ``m`` metres, of those near it."""
-    codes = target.on_plane(source, T, *slope, m, len(source))
-    on, off = (int((codes == code).sum()) for code in (ON, OFF))
-    return Count(on, on + off)
+    off = target.off_plane(source, T, *slope, len(source))
+    return Count(int((off < m).sum()), int(np.isfinite(off).sum()))
 
 
 LEVEL, WALL = (0.9, 2.0), (-1.0, 0.3)
@@ -110,12 +109,12 @@ def test_points_on_a_plane_are_told_by_its_slope() -> None:
     hits, of = counted(target, source, T, WALL, 0.1)
     assert hits >= 0.95 * of and steep.sum() >= of >= 0.95 * steep.sum()
     half = len(points) // 2
-    codes = target.on_plane(source, T, 0.99, 2.0, 0.2, half)
-    assert len(codes) == len(source.sampled(half)) == half
-    assert np.isin(codes, (ON, OFF)).sum() == pytest.approx(level.sum() / 2, rel=0.1)
+    off = target.off_plane(source, T, 0.99, 2.0, half)
+    assert len(off) == len(source.sampled(half)) == half
+    assert np.isfinite(off).sum() == pytest.approx(level.sum() / 2, rel=0.1)
     far = geometry.rigid(np.eye(3), (0.0, 0.0, 9.0))
-    codes = target.on_plane(source, far, -1.0, 2.0, 0.2, len(points))
-    assert set(codes.tolist()) == {0, ALONE}
+    off = target.off_plane(source, far, -1.0, 2.0, len(points))
+    assert np.isinf(off).any() and not np.isfinite(off).any()
 
 
 def hall(first: int = -6, last: int = 6, marked: bool = True, seed: int = 3) -> Float32:

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from segloc.errors import WeightsError
-from segloc.likelihood import Count, Evidence, Observation, Posterior, ScoredPose, shipped_model
+from segloc.likelihood import (
+    Count,
+    Evidence,
+    Observation,
+    Posterior,
+    ScoredPose,
+    Walls,
+    shipped_model,
+)
 from segloc.likelihood.model import (
     aligned_measures,
     features_of,
@@ -49,7 +57,7 @@ def observed(
         inside=Count(round(600 * inside), 600),
         flush=Count(round(900 * flush), 900),
         ground=Count(round(900 * ground), 900),
-        walls=np.full(40, walls, np.float32),
+        walls=Walls(np.full(40, walls, np.float32), np.ones(40, np.float32)),
         inliers=inliers,
     )
 
@@ -88,7 +96,7 @@ def test_no_observation_makes_an_impossible_score() -> None:
     blind = replace(
         observed(0.0, 0.0), known=Evidence(0, 0, 0), seen=none, inside=none, flush=none, ground=none
     )
-    blind.walls = blind.walls[:0]
+    blind.walls = Walls(*(part[:0] for part in blind.walls))
     assert log_ratio(blind, []) < 0.0
 
 
@@ -102,10 +110,12 @@ def test_what_the_map_does_not_know_is_no_evidence() -> None:
 
 
 def test_walls_are_compared_where_both_poses_know_them() -> None:
-    here, there = np.float32([1, 1, 1, 1, np.nan]), np.float32([1, 0, np.nan, 0, 1])
-    assert walls_over(here, there) == -walls_over(there, here) == math.log(7 / 5)
-    assert walls_over(here, here) == 0.0
-    assert walls_over(np.full(3, np.nan, np.float32)) == 0.0
+    here = Walls(np.float32([1, 1, 1, 0.9, 0]), np.float32([1, 1, 1, 1, 0]))
+    there = Walls(np.float32([1, 0, 0, 0.8, 1]), np.float32([1, 1, 0, 1, 1]))
+    assert walls_over(here, there) == -walls_over(there, here) == math.log(12 / 10)
+    assert walls_over(here, here) == walls_over(Walls(here.explained, 0 * here.weight)) == 0.0
+    faint = Walls(here.explained, 0.5 * here.weight)
+    assert 0.0 < walls_over(faint, there) < walls_over(here, there)
 
 
 def places(*log_ratios: float) -> Posterior:

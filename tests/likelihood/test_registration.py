@@ -48,13 +48,15 @@ def reference_normals(points: Float32, support: float) -> Float64:
     return normals
 
 
-def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, float, int]:
-    """Curvature across surfaces of Generalized-ICP's cost at a pose, the cost, and the pairs."""
+def reference_cost(
+    target: Float32, source: Float32, T: Pose
+) -> tuple[Float64, Float64, float, int]:
+    """Curvature of the cost of Generalized-ICP at a pose, squared motion, cost, and pairs."""
     n, m = reference_normals(target, SUPPORT), reference_normals(source, SUPPORT)
     R = T[:3, :3]
     moved = geometry.transform(T, source.astype(np.float64))
     distance, nearest = cKDTree(target).query(moved)
-    H, error, inliers = np.zeros((6, 6)), 0.0, 0
+    H, motion, error, inliers = np.zeros((6, 6)), np.zeros((6, 6)), 0.0, 0
     for i in np.flatnonzero(distance < REACH):
         turned = R @ m[i]
         spread = 2 * np.eye(3) - 0.999 * (
@@ -64,10 +66,11 @@ def reference_cost(target: Float32, source: Float32, T: Pose) -> tuple[Float64, 
         e = target[nearest[i]] - moved[i]
         x, y, z = source[i]
         J = R @ np.hstack([np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), -np.eye(3)])
-        H += J.T @ (W - 0.5 * np.eye(3)) @ J
+        H += J.T @ W @ J
+        motion += J.T @ J
         error += 0.5 * e @ W @ e
         inliers += 1
-    return H, error, inliers
+    return H, motion, error, inliers
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 3, 4, 60, 400]))
@@ -90,12 +93,13 @@ def test_normals(seed: int, count: int) -> None:
 def test_cost_and_curvature_are_those_of_the_paper() -> None:
     target, source = voxel_grid(room(1), 0.5), voxel_grid(room(2), 0.5)
     T = small_pose(3)
-    H, _, inliers = reference_cost(target, source, T)
+    H, motion, _, inliers = reference_cost(target, source, T)
     surfaces = Surface(target, REACH, SUPPORT), Surface(source, REACH, SUPPORT)
-    moved, found, error, paired, iterations = surfaces[0].align(surfaces[1], T, 1, 1)
+    moved, *found, error, paired, iterations = surfaces[0].align(surfaces[1], T, 1, 1)
     assert iterations == 1 and paired == inliers
-    np.testing.assert_allclose(found, H, rtol=1e-3, atol=1e-3 * np.abs(H).max())
-    assert error < reference_cost(target, source, T)[1]  # one step has lowered it
+    for one, other in zip(found, (H, motion), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3 * np.abs(other).max())
+    assert error < reference_cost(target, source, T)[2]  # one step has lowered it
     assert not np.array_equal(moved, T)
 
 
@@ -141,11 +145,22 @@ def test_too_little_is_no_pose(count: int) -> None:
     assert aligner.align(full, full, far) is None
 
 
-def test_what_leaves_a_direction_open_is_no_pose() -> None:
-    line = np.zeros((400, 3), np.float32)
-    line[:, 0] = np.linspace(0, 40, 400)
-    aligner = Aligner(0.3, REACH)
-    assert aligner.align(aligner.surface(line), aligner.surface(line), np.eye(4)) is None
+def test_a_pose_is_as_open_along_a_wall_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    wall = np.stack([rng.uniform(-20, 20, 6000), np.full(6000, 3.0), rng.uniform(0, 3, 6000)], 1)
+    wall += rng.normal(0, 0.01, wall.shape)
+    end = wall @ geometry.yaw_transform(np.pi / 2)[:3, :3].T
+    both, aligner = np.concatenate([wall, end]), Aligner(0.3, REACH)
+
+    def deviations(points: Float64) -> Float64:
+        noisy = (points + rng.normal(0, 0.01, points.shape) for _ in range(2))
+        found = aligner.align(*(aligner.surface(np.float32(p)) for p in noisy), np.eye(4))
+        assert found is not None
+        return np.sqrt(found.covariance[[3, 4], [3, 4]])
+
+    along, across = deviations(wall)
+    assert along > 0.5 and across < 0.05
+    assert deviations(both).max() < 0.05
 
 
 def test_refuses_wrong_input() -> None:

@@ -181,9 +181,9 @@ def _clouds() -> Iterator[tuple[str, Call]]:
     yield "Surface", Call(lambda **a: len(_native.Surface(**a)), surface)
     known = _native.Surface(**surface)
     align = {"source": known, "T_target_source": eye, "max_iterations": 5, "threads": 2}
-    on_plane = {"source": known, "T_target_source": eye, "least_slope": -1.0, "most_slope": 2.0}
-    on_plane |= {"tolerance": 0.1, "most": 100}
-    yield "Surface.on_plane", Call(known.on_plane, on_plane, frozenset({"source"}))
+    off_plane = {"source": known, "T_target_source": eye, "least_slope": -1.0, "most_slope": 2.0}
+    off_plane |= {"most": 100}
+    yield "Surface.off_plane", Call(known.off_plane, off_plane, frozenset({"source"}))
     yield "Surface.align", Call(known.align, align, frozenset({"source"}))
 
 
@@ -367,7 +367,7 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "normals",
         "Surface",
         "Surface.align",
-        "Surface.on_plane",
+        "Surface.off_plane",
     ),
     _occupancy: ("PoseSearch", "PoseSearch.search"),
     _descriptors: (

@@ -176,8 +176,9 @@ def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]
     if (share := fit.ground.share) is not None:
         ground = f"{share:.0%} of the ground lies on the map's ground"
     free = f"{fit.inside.hits} of {fit.inside.of} patches are in free space of the map"
-    told = [int(np.isfinite(fit.walls - other.walls).sum()) for other in others]
-    walls = f"{int(np.isfinite(fit.walls).sum())} patches of walls compared"
+    here = fit.walls.weight > 0
+    told = [int((here & (other.walls.weight > 0)).sum()) for other in others]
+    walls = f"{int(here.sum())} patches of walls compared"
     known = fit.known.on + fit.known.off
     lies = f"{fit.known.on} of {known} points in known space are on the map"
     return {

@@ -15,6 +15,7 @@ from .observation import Count as Count
 from .observation import Evidence as Evidence
 from .observation import Observation as Observation
 from .observation import QueryCloud as QueryCloud
+from .observation import Walls as Walls
 from .posterior import Posterior as Posterior
 from .posterior import ScoredPose as ScoredPose
 from .posterior import log_odds as log_odds

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
-from ..types import Float32, Pose
-from .observation import Aligned, Count, Evidence
+from ..types import Pose
+from .observation import Aligned, Count, Evidence, Walls
 
 FEATURES = (
     "flush",
@@ -37,7 +37,7 @@ _CHANCE_OVERLAP, _KNOWN_PRIOR = 0.25, 0.2
 all, those of a pose are smoothed: a pose that the map knows nothing about fits as chance does."""
 _CHANCE_WALLS = 0.4
 """Share of each wall patch that some pose of any map explains."""
-_WALLS_ALIKE = 0.1
+_WALLS_ALIKE = 0.15
 """Shares of a patch that are no farther apart say nothing: noise decides there."""
 _WALLS_PRIOR = 5.0
 """Wall patches by which those told apart are smoothed."""
@@ -179,17 +179,18 @@ def aligned_measures(aligned: Aligned) -> tuple[float, ...]:
     return share_odds(aligned.overlap), aligned.seen.log_odds(_SEEN_PRIOR)
 
 
-def walls_over(here: Float32, elsewhere: Float32 | None = None) -> float:
+def walls_over(here: Walls, elsewhere: Walls | None = None) -> float:
     """Return the log-ratio of the walls that only one of two poses explains.
 
-    Parameters
-    ----------
-    here, elsewhere : (P,) float32
-        Share of each patch of walls on the map; NaN if unknown. By default elsewhere is chance.
+    By default elsewhere is chance.
     """
-    more = here - (np.float32(_CHANCE_WALLS) if elsewhere is None else elsewhere)
-    known = more[np.abs(more) > _WALLS_ALIKE]
-    total, either = float(known.sum()), float(np.abs(known).sum())
+    explained, weight = here
+    if elsewhere is None:
+        more = explained - np.float32(_CHANCE_WALLS)
+    else:
+        more, weight = explained - elsewhere.explained, np.minimum(weight, elsewhere.weight)
+    differ = np.where(np.abs(more) > _WALLS_ALIKE, weight * more, 0.0)
+    total, either = float(differ.sum()), float(np.abs(differ).sum())
     return math.log((either + total + 2 * _WALLS_PRIOR) / (either - total + 2 * _WALLS_PRIOR))
 
 

@@ -53,8 +53,10 @@ _WALL_PATCH_M, _INSIDE_PATCH_M = 3.0, 0.75
 """Sides of the patches of walls that are compared as one, and of the query in free space."""
 UNKNOWN, HIT, THROUGH, MISSED = range(4)
 """Codes of points: in unknown space, on the map, in free space, beside a surface."""
-ON, OFF, ALONE = 1, 2, 3
-"""Codes of points of a surface: on the map's surface, off it, with none near; 0 of others."""
+_EXPLAINED_M = (0.04, 0.2)
+"""Distances from the map's surface up to which a wall point is explained, and beyond which not."""
+_SURE_PATCH = 8.0
+"""Points from which a patch of walls counts as one; fewer count less."""
 
 
 class Count(NamedTuple):
@@ -94,6 +96,21 @@ class Evidence(NamedTuple):
         return 1.0 - (self.on + self.off) / self.of if self.of else 1.0
 
 
+class Walls(NamedTuple):
+    """The patches of walls of a query.
+
+    Attributes
+    ----------
+    explained : (P,) float32
+        Share of each that lies on the map's surfaces; 0 where the map knows nothing about it.
+    weight : (P,) float32
+        How sure that is, in [0, 1].
+    """
+
+    explained: Float32
+    weight: Float32
+
+
 @dataclass
 class Aligned:
     """A query at a pose after alignment with some of its points.
@@ -130,9 +147,7 @@ class Observation(Aligned):
     flush, ground : Count
         Wall points on the map's surfaces, of those near them or in free space; ground points on the
         map's ground.
-    walls : (P,) float32
-        Share of each wall patch of the query that lies on the map's surfaces; NaN where the map
-        knows nothing about it.
+    walls : Walls
     inliers : int
         Number of distinct query segments that agree with the pose (one map segment each).
     """
@@ -143,7 +158,7 @@ class Observation(Aligned):
     inside: Count
     flush: Count
     ground: Count
-    walls: Float32
+    walls: Walls
     inliers: int = 0
 
 
@@ -336,9 +351,7 @@ class MapCloud:
             overlap, rmse = found.overlap, found.rmse
         codes = self._known.codes(query.sample, T, config.overlap_radius)
         flush, walls = self._walls(query, T)
-        level = self._target.surface.on_plane(
-            query.surface, T, *_LEVEL, _GROUND_TOLERANCE_M, _MAX_SURFACE_POINTS
-        )
+        level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
         return Observation(
             T_map_local=self._absolute(T),
             overlap=overlap,
@@ -348,26 +361,27 @@ class MapCloud:
             known=Evidence(_number(codes, HIT), _number(codes, THROUGH, MISSED), len(codes)),
             inside=_inside(codes, query.patches),
             flush=flush,
-            ground=Count(_number(level, ON), _number(level, ON, OFF)),
+            ground=_within(level, _GROUND_TOLERANCE_M),
             walls=walls,
         )
 
-    def _walls(self, query: QueryCloud, T: Pose) -> tuple[Count, Float32]:
+    def _walls(self, query: QueryCloud, T: Pose) -> tuple[Count, Walls]:
         """Compare walls: their points, and the share of each patch that is explained."""
         surface, points, patch = query.close
-        codes = self._close.on_plane(
-            surface, T, *_WALL, self._config.flush_offset, _MAX_SURFACE_POINTS
-        )
-        flush = Count(_number(codes, ON), _number(codes, ON, OFF))
-        alone = np.flatnonzero(codes == ALONE)
+        off = self._close.off_plane(surface, T, *_WALL, _MAX_SURFACE_POINTS)
+        alone = np.flatnonzero(np.isinf(off))
+        known = np.isfinite(off)
         if len(alone):
-            known = self._known.codes(points[alone], T, self._config.overlap_radius)
-            codes[alone[known == THROUGH]] = OFF
+            codes = self._known.codes(points[alone], T, self._config.overlap_radius)
+            known[alone[codes == THROUGH]] = True
+        near, far = _EXPLAINED_M
+        explained = np.clip((far - off[known]) / (far - near), 0.0, 1.0)
         count = int(patch.max(initial=-1)) + 1
-        on, off = (np.bincount(patch[codes == c], minlength=count) for c in (ON, OFF))
-        of = (on + off).astype(np.float32)
-        share = np.divide(on, of, out=np.full(count, np.nan, np.float32), where=of > 0)
-        return flush, share
+        of = np.bincount(patch[known], minlength=count)
+        share = np.bincount(patch[known], explained, minlength=count) / np.maximum(of, 1)
+        weight = np.minimum(of / _SURE_PATCH, 1.0)
+        walls = Walls(share.astype(np.float32), weight.astype(np.float32))
+        return _within(off, self._config.flush_offset), walls
 
     def _seen(self, query: QueryCloud, T: Pose) -> Count:
         """Count the map points in view that the query sees, and those compared.
@@ -441,6 +455,11 @@ def _inside(codes: np.ndarray, patch: Int64) -> Count:
     count = int(patch.max(initial=-1)) + 1
     through, of = np.bincount(patch[codes == THROUGH], minlength=count), np.bincount(patch)
     return Count(int((2 * through > of).sum()), count)
+
+
+def _within(off: Float32, metres: float) -> Count:
+    """Count the points nearer to a surface than so, of those with one near."""
+    return Count(int((off < metres).sum()), int(np.isfinite(off).sum()))
 
 
 def _number(codes: np.ndarray, *chosen: int) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry import Separation
 from ..localization import Reason, ambiguous_with
 from ..types import Float64, Pose
 
@@ -99,6 +100,11 @@ class Posterior:
     def confidence(self) -> float:
         """The probability of the most probable place, in [0, 1]."""
         return self.probabilities[0] if self.places else 0.0
+
+    def at(self, T_map_local: Pose, separation: Separation) -> ScoredPose | None:
+        """Return the place of a pose T_map_local; None if it was not measured."""
+        here = (p for p in self.places if not separation.apart(p.T_map_local, T_map_local))
+        return next(here, None)
 
     def repeats(self, min_confidence: float) -> bool:
         """Return whether the second place alone could prevent acceptance."""

@@ -16,6 +16,9 @@ _REACH_M, _REACH_DEG = 2.0, 5.0
 """Standard deviation where nothing fixes a pose: poses farther apart are other places."""
 _MIN_VARIANCE = 1e-6
 """Of clouds that are equal."""
+_TOLD_ALONG = 2.0
+"""What a pair is thought to tell about a motion along its surface, in 1/m^2: the half of the metre
+by which it is uncertain there, and normals that err by 3 degrees."""
 _ROUGHLY = {"max_iterations": 10, "max_final": 0}
 COVARIANCE_SCALE = 20.0
 """Errors of neighbouring correspondences are correlated, so the curvature of the cost alone is
@@ -87,22 +90,31 @@ class Aligned:
     Attributes
     ----------
     T_target_source : (4, 4) float64
-    information : (6, 6) float64
-        What pairs of points say across their surfaces, about rotation [rad] and translation [m] in
-        the source's frame. Nothing along a bare wall.
+    curvature, motion : (6, 6) float64
+        Of half the squared error, each in units of its deviation, and of the squared motion of the
+        paired points [m^2], by rotation [rad] and translation [m] in the source's frame.
+    variance : float
+        Of the errors, by what is left of them.
     """
 
     T_target_source: Pose
-    information: Float64
+    curvature: Float64
+    motion: Float64
+    variance: float
 
     @property
     def covariance(self) -> Float64:
         """Covariance of rotation [rad] and translation [m], (6, 6), in the source's frame.
 
-        A direction in which surfaces slide along each other is as open as an alignment reaches.
+        Of what pairs tell about a motion, as much is taken off as normals that err tell about one
+        along a surface. So a pose is as open along a bare wall as an alignment reaches.
         """
         reach = np.repeat([math.radians(_REACH_DEG), _REACH_M], 3)
-        covariance = np.linalg.inv(self.information + np.diag(reach**-2.0))
+        root = np.linalg.cholesky(self.motion + 1e-9 * np.trace(self.motion) * np.eye(6))
+        turned = np.linalg.solve(root, np.linalg.solve(root, self.curvature).T)
+        told, axes = np.linalg.eigh((turned + turned.T) / 2)
+        kept = root @ (axes * np.sqrt(np.maximum(told - _TOLD_ALONG, 0.0) / self.variance))
+        covariance = np.linalg.inv(kept @ kept.T + np.diag(reach**-2.0))
         return np.asarray((covariance + covariance.T) / 2, np.float64)
 
 
@@ -201,7 +213,7 @@ class Aligner:
         """
         if not np.isfinite(T_target_source).all():
             return None
-        T, H, error, inliers, _ = target.align(
+        T, H, motion, error, inliers, _ = target.align(
             source,
             np.ascontiguousarray(T_target_source),
             threads=self._threads,
@@ -211,7 +223,7 @@ class Aligner:
         if min(inliers, len(target)) < MIN_POINTS or not np.isfinite(np.append(T, H)).all():
             return None
         variance = COVARIANCE_SCALE * 2.0 * error / degrees
-        return Aligned(geometry.orthonormal(T), H / max(variance, _MIN_VARIANCE))
+        return Aligned(geometry.orthonormal(T), H, motion, max(variance, _MIN_VARIANCE))
 
     def register(
         self,
@@ -229,8 +241,8 @@ class Aligner:
         T = aligned.T_target_source
         moved = geometry.inverse(T_target_source) @ T
         shift = float(np.linalg.norm(moved[:3, 3]))
-        overlap, rmse = target.overlap(source.sample, T, radius)
-        return Registered(T, aligned.information, overlap, rmse, shift)
+        measured = *target.overlap(source.sample, T, radius), shift
+        return Registered(T, aligned.curvature, aligned.motion, aligned.variance, *measured)
 
 
 def thinned(points: Float32, count: int) -> Float32:

@@ -122,9 +122,7 @@ def _followed(
 def _compared(localizer: Localizer, cloud: LocalCloud, T_map_sensor: Pose) -> ScoredPose | None:
     """Compare a cloud at a known pose; None if it has nothing to compare."""
     T = T_map_sensor @ geometry.inverse(cloud.T_local_sensor)
-    apart = localizer.likelihood.separation.apart
-    places = localizer.compare(cloud, [T]).places
-    return next((place for place in places if not apart(place.T_map_local, T)), None)
+    return localizer.compare(cloud, [T]).at(T, localizer.likelihood.separation)
 
 
 @dataclass(frozen=True)

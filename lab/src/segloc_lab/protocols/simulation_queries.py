@@ -344,8 +344,9 @@ def missing(localizer: Localizer, scans: list[Scan], truth: Pose) -> Row:
     off = float(np.degrees(np.arccos(np.clip(up @ true_up, -1, 1))))
     T_map_local = truth @ geometry.inverse(T_local_sensor)
     rank = [k for k, c in enumerate(search.candidates) if is_right(c.T_map_local, T_map_local)]
-    beside = localizer.search(query, known=[T_map_local]).posterior.places
-    at_truth = next(p for p in beside if is_right(p.T_map_local, T_map_local))
+    beside = localizer.search(query, known=[T_map_local]).posterior
+    at_truth = beside.at(T_map_local, localizer.likelihood.separation)
+    assert at_truth is not None
     best = search.posterior.best
     cause = "attitude" if off > ATTITUDE_DEG else "verdict" if rank else "candidate"
     return {
