@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from segloc_lab.calibration import known
 from segloc_lab.calibration.posterior import (
     FEATURES,
     KEPT,
@@ -39,6 +40,27 @@ def test_the_shipped_weights_are_those_of_the_kept_rows() -> None:
     assert np.allclose(found, [*(model.weights[n] for n in FEATURES), model.none], atol=0.02)
     assert np.allclose(promised["rough"].weights, model.rough.weights, atol=0.02)
     assert np.allclose(promised["aligned"].weights, model.aligned.weights, atol=0.02)
+
+
+@pytest.mark.slow
+def test_what_a_view_says_of_a_known_pose_is_fitted_to_the_kept_rows() -> None:
+    worlds, shipped = known.read(known.KEPT), shipped_model().known
+    views = known.Views.of(worlds)
+    found = known.fitted(views, np.ones(len(worlds), bool))
+    assert np.allclose(found.weights, shipped.weights, atol=0.05)
+    said = views.evidence(shipped)
+    for count, right, wrong in ((1, 0.9, 0.1), (3, 0.95, 0.05)):
+        runs = views.together(count)
+        runs = runs[views.seen[runs[:, 0]] == known.WHOLE]
+        sums, label = said[runs].sum(axis=1), views.right[runs[:, 0]]
+        assert (sums[label] > 0.0).mean() > right and (sums[~label] > 0.0).mean() < wrong
+
+
+def test_people_around_a_sensor_shorten_its_rays() -> None:
+    points = np.float32(np.random.default_rng(0).normal(size=(5000, 3)) * 20.0)
+    ranges, blocked = (np.linalg.norm(p, axis=1) for p in (points, known.crowded(points, 1)))
+    assert (blocked <= ranges + 1e-3).all() and 0.3 < (blocked < ranges - 1e-3).mean() < 0.97
+    assert (blocked[blocked < ranges - 1e-3] < 3.1).all()
 
 
 def test_queries_are_made_again(tmp_path: Path) -> None:

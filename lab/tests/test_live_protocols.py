@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
-from segloc_lab.protocols import live_streams
+from segloc_lab.protocols import kidnapping, live_streams
 
 from segloc import geometry
 from segloc.loops.graph import Edges
@@ -23,6 +23,12 @@ def test_a_right_loop_takes_the_drift_out_of_a_path() -> None:
     loops = Edges(np.array([0]), np.array([40]), T, covariance)
     assert ate(truths @ geometry.yaw_transform(0.0), truths) == pytest.approx(0.0, abs=1e-9)
     assert ate(tied(odometry, loops), truths) < 0.5 * ate(odometry, truths)
+
+
+def test_views_are_compared_at_every_turn() -> None:
+    here = np.random.default_rng(2).uniform(size=(2, kidnapping.SECTORS))
+    differs, turn = kidnapping._unlike(here, np.roll(here, -7, axis=1))
+    assert differs == 0.0 and turn == pytest.approx(-2.0 * np.pi * 7 / kidnapping.SECTORS)
 
 
 @pytest.mark.slow

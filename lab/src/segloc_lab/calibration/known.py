@@ -1,4 +1,4 @@
-r"""Fit what a view says about a pose that is known already: that of a tracker.
+"""Fit what a view says about a pose that is known already: that of a tracker.
 
 Each drive of the worlds (:mod:`.worlds`) is followed scan by scan, every 2 m, in the map of its
 world and in the first half of it, past whose end the robot drives; a fifth of the things are
@@ -9,10 +9,11 @@ with narrow views, and with people around the sensor in every third scan.
 
 The model is a logistic regression of right and wrong, each counted as much, fitted to what single
 views and three in succession say together: what differs from the map is seen again in the next
-view, so that views say less than independent ones would. Rows are kept, one array a world.
+view, so that views say less than independent ones would. The rows of the shipped model are kept
+beside this module, one array a world.
 
-    python -m segloc_lab.calibration.known rows/fit --every 3 --out known.npz \
-        --model src/segloc/weights/posterior.json
+    python -m segloc_lab.calibration.known --worlds rows/fit --every 3 --rows known.npz
+    python -m segloc_lab.calibration.known --out src/segloc/weights/posterior.json
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ UNUSED = "inliers_over_rival"
 """Segments are not matched where a pose is known."""
 RIDGE = 2e-4
 SHARES = (1, 5, 50, 95, 99)
+KEPT = Path(__file__).with_name("known-rows.npz")
+"""Rows to which the shipped model was fitted."""
 Row = tuple[float, ...]
 Mask = NDArray[np.bool_]
 
@@ -239,28 +242,33 @@ def table(views: Views, said: Float64) -> Table:
     return Table(columns, rows, note, "Evidence at right and at wrong poses")
 
 
+def read(path: Path) -> dict[str, Float64]:
+    """Read the rows of worlds, by seed."""
+    with np.load(path) as kept:
+        return {n: kept[n].astype(np.float64) for n in sorted(kept, key=lambda n: seed_of(Path(n)))}
+
+
 def main() -> None:
     options = reporting(__doc__)
-    options.add_argument("worlds", type=Path, nargs="?", help="folder of generated worlds")
-    options.add_argument("--out", type=Path, default=Path("known.npz"))
-    options.add_argument("--rows", type=Path, help="rows of an earlier run")
+    options.add_argument("--worlds", type=Path, help="folder of generated worlds, to collect rows")
     options.add_argument("--every", type=int, default=1, help="take each Nth world")
     options.add_argument("--workers", type=int, default=1, help="processes")
-    options.add_argument("--model", type=Path, help="file of the model that is replaced")
+    options.add_argument("--rows", type=Path, default=KEPT, help="file of the rows")
+    options.add_argument("--out", type=Path, help="file of the model that is replaced")
     args = options.parse_args()
-    if args.rows is None:
+    if args.worlds is not None:
         chosen = worlds_of(args.worlds)[:: args.every]
         found = in_parallel(partial(rows_of, config=Config(threads=1)), chosen, args.workers)
         rows = {chosen[k].name: each for k, each in track(found, "worlds", total=len(chosen))}
-        np.savez_compressed(args.out, **rows)  # type: ignore[arg-type]
-    with np.load(args.rows or args.out) as kept:
-        worlds = {name: kept[name] for name in sorted(kept, key=lambda name: seed_of(Path(name)))}
+        small = {name: np.float32(each.round(2)) for name, each in rows.items()}
+        np.savez_compressed(args.rows, **small)
+    worlds = read(args.rows)
     views = Views.of(worlds)
     known = fitted(views, np.ones(len(worlds), bool))
     weights = Table(("", "value"), [*zip(("constant", *FEATURES), known.weights, strict=True)])
     publish(args.report, "What a view says of a known pose", table(views, held_out(views)), weights)
-    if args.model is not None:
-        model = json.loads(args.model.read_text("utf-8"))
+    if args.out is not None:
+        model = json.loads(args.out.read_text("utf-8"))
         model["known"] = known.model_dump()
         seeds = [seed_of(Path(name)) for name in worlds]
         model["card"]["known"] = {
@@ -268,7 +276,7 @@ def main() -> None:
             "data": f"{len(worlds)} of the worlds (seeds {seeds[0]} to {seeds[-1]}), "
             f"{len(views.robot)} comparisons",
         }
-        args.model.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        args.out.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
 if __name__ == "__main__":
