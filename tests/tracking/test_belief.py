@@ -156,6 +156,17 @@ def test_a_jump_of_the_odometry_is_followed_until_the_map_confirms_it() -> None:
     assert alone.status is Status.LOST and alone.reason == "the odometry jumped"
 
 
+def test_a_pose_that_is_known_from_elsewhere_needs_views_to_be_believed() -> None:
+    def supposed() -> Robot:
+        robot = Robot()
+        robot.belief.suppose(HERE, robot.T_odom_sensor, 0.6)
+        assert robot.status is Status.CANDIDATE and robot.belief.track is None
+        return robot
+
+    assert supposed().drives(4.0, (HERE, FITS)).is_at(HERE)
+    assert supposed().drives(4.0, (HERE, CONTRADICTS)).status is Status.LOST
+
+
 def test_a_pose_is_corrected_as_far_as_measurement_and_odometry_allow() -> None:
     def at(x: float) -> Pose:
         return HERE @ geometry.yaw_transform(0.0, (x, 0.0, 0.0))
