@@ -13,7 +13,7 @@ from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Pose
 from .pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
-from .trace import Trace, steps, summarize
+from .trace import Trace, confidence_tables, steps, summarize
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ _SIZE_IN, _DPI = 6.0, 100
 
 
 def page(trace: Trace, findings: Sequence[str]) -> str:
-    """Return HTML with the result, each stage in text and pictures, and parts of the confidence.
+    """Return HTML with the result, each stage in text and pictures, and the evidence.
 
     Raises
     ------
@@ -49,9 +49,10 @@ def page(trace: Trace, findings: Sequence[str]) -> str:
         f'{base64.b64encode(image).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
         for caption, image in pictures(trace)
     )
-    parts = [(f"{part.log_odds:+.1f}", part.words) for part in trace.parts]
-    if parts:
-        parts.insert(0, (f"{trace.constant:+.1f}", "prior"))
+    evidence = "".join(
+        f"<h3>{escape(title[:1].upper() + title[1:])}</h3>{_table(rows)}"
+        for title, rows in confidence_tables(trace)
+    )
     noted = "".join(f"<p>{escape(line)}</p>" for line in findings)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8">'
@@ -61,16 +62,13 @@ def page(trace: Trace, findings: Sequence[str]) -> str:
         f'<p class="{kind}">{escape(summarize(trace))}</p>{noted}'
         f"<h2>Stage by stage</h2>{_table(steps(trace))}"
         f'<div class="pictures">{figures}</div>'
-        f"<h2>Parts of the confidence</h2>{_table(parts, 'number')}</html>"
+        f"<h2>Evidence, in log-odds</h2>{evidence}</html>"
     )
 
 
-def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
-    cells = (
-        f'<tr><td class="{kind}">{escape(first)}</td><td>{escape(second)}</td></tr>'
-        for first, second in rows
-    )
-    return f"<table>{''.join(cells)}</table>"
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    lines = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def pictures(trace: Trace) -> list[tuple[str, bytes]]:
