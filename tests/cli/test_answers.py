@@ -87,6 +87,26 @@ def test_json_on_stdout_is_all_of_it(site: Site, capsys: pytest.CaptureFixture[s
     assert {"T_map_sensor", "confidence", "reason", "message"} <= found["queries"][0].keys()
 
 
+@pytest.mark.slow
+def test_the_page_of_a_run_is_one_file_with_answers_and_pictures(
+    site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    for i in (3, 4):
+        np.save(tmp_path / f"{i}.npy", np.load(site.run / f"000{i}.npy"))
+    np.save(tmp_path / "5.npy", POINTS_ASIDE)
+    html, truth = tmp_path / "run.html", site.run / "poses.tum"
+    query = ["localize", tmp_path, "--map", site.map, "--truth", truth, "--html", html]
+    assert run(*query) == 0
+    assert f"{html}: open it in a browser" in capsys.readouterr().out
+    text = html.read_text("utf-8")
+    assert "2 of 3 queries localized, 2 correct, 0 false" in text
+    assert text.count("data:image/png;base64,") == 2
+    assert not re.search(r"(src|href)=\"(?!data:)", text) and "://" not in text
+    assert re.search(r"<tr><td>5</td><td>0\.\d\d</td><td>[a-z]", text)
+    assert len(re.findall(r"<td>x \S+ y", text)) == 2
+
+
 def test_lines_are_whole_where_stdout_is_no_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -216,7 +236,7 @@ def test_explain_prints_a_verdict_and_writes_a_page(
         assert re.search(expected, out), out
         text = html.read_text("utf-8")
         assert text.count("data:image/png;base64,") in (2, 5)
-        assert not re.search(r"(src|href)=\"(?!data:)", text) and "http" not in text
+        assert not re.search(r"(src|href)=\"(?!data:)", text) and "://" not in text
         assert escape(out.splitlines()[0]) in text
 
 

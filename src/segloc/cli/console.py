@@ -110,8 +110,3 @@ def table(
     for row in rows:
         shown.add_row(*row)
     console.print(shown)
-
-
-def number(value: float | None, unit: str = "", digits: int = 2) -> str:
-    """Format a number with its unit, or a dash for None."""
-    return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..system.text import counted
+from ..system.text import counted, number
 from . import options
-from .console import number, table
+from .console import table
 
 if TYPE_CHECKING:
     from ..datasets import RecordedSequence

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Sequence
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +10,7 @@ import numpy as np
 from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Pose
+from . import html
 from .pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
 from .trace import Trace, confidence_tables, steps, summarize
 
@@ -19,18 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222b38; max-width: 1260px; margin: 2em auto;
-  padding: 0 1em }
-h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 1.6em 0 .4em }
-.found, .lost { font-weight: 600 } .found { color: #0d7a3c } .lost { color: #b81d30 }
-table { border-collapse: collapse } td { padding: .15em 1em .15em 0; vertical-align: top }
-td.number { text-align: right; font-variant-numeric: tabular-nums }
-.pictures { display: grid; gap: 1em; margin: 1.2em 0;
-  grid-template-columns: repeat(auto-fill, minmax(min(380px, 100%), 1fr)) }
-figure { margin: 0 } img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
-figcaption { font-size: .85em; color: #59637a }
-"""
 _RADIUS_M = 50.0
 _SIZE_IN, _DPI = 6.0, 100
 
@@ -43,32 +30,18 @@ def page(trace: Trace, findings: Sequence[str]) -> str:
     MissingDependency
         If matplotlib is not installed.
     """
-    kind = "found" if trace.result.localized else "lost"
-    figures = "".join(
-        f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
-        f'{base64.b64encode(image).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
-        for caption, image in pictures(trace)
-    )
     evidence = "".join(
-        f"<h3>{escape(title[:1].upper() + title[1:])}</h3>{_table(rows)}"
-        for title, rows in confidence_tables(trace)
+        f"<h3>{title}</h3>{html.table(rows)}" for title, rows in confidence_tables(trace)
     )
-    noted = "".join(f"<p>{escape(line)}</p>" for line in findings)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(trace.name)}</title>"
-        f"<style>{_STYLE}</style><h1>{escape(trace.name)}</h1>"
-        f'<p class="{kind}">{escape(summarize(trace))}</p>{noted}'
-        f"<h2>Stage by stage</h2>{_table(steps(trace))}"
-        f'<div class="pictures">{figures}</div>'
-        f"<h2>Evidence, in log-odds</h2>{evidence}</html>"
+    return html.document(
+        trace.name,
+        summarize(trace),
+        trace.result.localized,
+        html.paragraphs(findings),
+        f"<h2>Stage by stage</h2>{html.table(steps(trace))}",
+        f"<h2>Evidence, in log-odds</h2>{evidence}" if evidence else "",
+        html.pictures(pictures(trace)),
     )
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    lines = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
-    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
 def pictures(trace: Trace) -> list[tuple[str, bytes]]:

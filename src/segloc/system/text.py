@@ -18,3 +18,8 @@ def counted(count: int, noun: str, verb: str = "") -> str:
 
 def _singular(noun: str) -> str:
     return noun[:-3] + "y" if noun.endswith("ies") else noun.removesuffix("s")
+
+
+def number(value: float | None, unit: str = "", digits: int = 2) -> str:
+    """Format a number with its unit, or a dash for None."""
+    return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"
