@@ -83,6 +83,9 @@ def test_json_on_stdout_is_all_of_it(site: Site, capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     assert run("localize", site.run, "--map", site.map, "--select", "4:5", "--json") == 0
     found = json.loads(capsys.readouterr().out)
+    assert run("localize", site.run / "0004.npy", "--map", site.map, "--json") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 50 and max(map(len, lines)) <= 100  # a screen
     assert found["summary"]["queries"] == len(found["queries"]) == 2
     assert {"T_map_sensor", "confidence", "reason", "message"} <= found["queries"][0].keys()
 
@@ -130,7 +133,11 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(
         for done in range(7):
             update(done, 6)
             now[0] += 0.6 * console.SECONDS_A_LINE
-    assert capsys.readouterr().err == "Training: 2 of 6\nTraining: 4 of 6\n"
+    lines = [f"Training: {done} of 6" for done in (2, 4, 6)]
+    assert capsys.readouterr().err.splitlines() == lines
+    with console.progress("Testing") as update:  # soon done
+        update(1, 1)
+    assert capsys.readouterr().err == ""
 
 
 # --- explain --------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
 from ..system.files import checked_target, replacing
 from ..system.locks import exclusive
+from ..system.text import json_text
 from ..types import Float64, Int64
 from .console import note
 
@@ -67,7 +68,7 @@ def pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[
 def print_json(evaluation: Evaluation) -> None:
     """Print the results and their summary as one JSON object."""
     found = {"summary": evaluation.summary(), "queries": list(evaluation.records())}
-    print(json.dumps(found, indent=2, allow_nan=False))
+    print(json_text(found))
 
 
 def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, bytes]:
