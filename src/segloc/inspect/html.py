@@ -44,6 +44,11 @@ def document(heading: str, summary: str, good: bool, *body: str) -> str:
     )
 
 
+def heading(text: str) -> str:
+    """Return a heading of a section."""
+    return f"<h2>{escape(text)}</h2>"
+
+
 def paragraphs(lines: Sequence[str]) -> str:
     """Return a paragraph for each line."""
     return "".join(f"<p>{escape(line)}</p>" for line in lines)

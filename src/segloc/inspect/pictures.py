@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +31,6 @@ HEIGHTS = ("#41449c", "#3f86c8", "#5fbcc6", "#d8c98a")
 """Ramp of heights, low to high; on white and on black, and none of the colours of outcomes."""
 TITLE_PT, TEXT_PT, SMALL_PT = 13.0, 9.0, 8.0
 
-_ROUND = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _CELLS_ALONG = 1600
 _GOLDEN = 0.381966
 
@@ -51,7 +51,10 @@ def by_height(z: Any) -> NDArray[np.uint8]:
 
 def round_length(limit_m: float) -> int:
     """Return the longest round length of a scale bar below a limit [m], at least 1."""
-    return max((step for step in _ROUND if step <= limit_m), default=1)
+    if limit_m < 1:
+        return 1
+    power = int(10.0 ** math.floor(math.log10(limit_m)))
+    return power * max(step for step in (1, 2, 5) if step * power <= limit_m)
 
 
 def hue(k: int) -> float:
