@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from segloc.batch.picture import draw
+from segloc.batch.picture import draw, draw_errors
 from segloc.batch.run import query_positions
 from segloc.batch.score import (
     RECORD,
@@ -23,6 +23,7 @@ from segloc.batch.score import (
     distances_to_path,
     pose_errors,
 )
+from segloc.inspect.pictures import blank, coordinates, plan, scale
 from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
@@ -163,3 +164,18 @@ def test_drawing(evaluation: Evaluation) -> None:
     pictures.append(draw(prior_map, evaluation, "a town"))
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert draw(prior_map, evaluation, "a town") == pictures[-1]
+    assert draw_errors(prior_map, evaluation, "a town").startswith(b"\x89PNG")
+
+
+def test_ground_plans_have_round_coordinates_and_a_bar_as_long_as_a_cell() -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    axes = blank((8.0, 4.0), 100).add_subplot()
+    plan(axes, (691_600.0, 5_336_000.0), (691_800.0, 5_336_100.0))
+    coordinates(axes)
+    scale(axes)
+    ticks = axes.get_xticks()
+    assert (np.diff(ticks) == 20.0).all() and (ticks % 20.0 == 0.0).all()
+    axes.figure.canvas.draw()
+    assert "691660" in {label.get_text() for label in axes.get_xticklabels()}
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x, m", "y, m")
+    assert [text.get_text() for text in axes.texts] == ["20 m"]

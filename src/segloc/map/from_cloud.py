@@ -34,7 +34,8 @@ from .cloud_frame import (
 )
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .segment_map import CLOUD, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
+from .info import CLOUD, SOURCE
+from .segment_map import LATTICE, VIEWPOINTS, SegmentMap
 from .viewpoints import (
     AROUND_M,
     SPACING_M,
