@@ -13,7 +13,7 @@ from samples.plaza import Plaza
 from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
 from samples.streams import walked
 from segloc_ros.core.clicks import Click
-from segloc_ros.core.diagnosis import Level, diagnose
+from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
 from segloc_ros.core.frames import Transform
 from segloc_ros.core.replies import (
     CandidatesReply,
@@ -144,6 +144,81 @@ def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Pl
     truth = listener.walk(plaza, 3, start_s=106.0, begin=(-2.0, 1.6), T_map_odom=T)
     assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 7.0
     assert listener.robot.trigger.resting and listener.robot.fixes == 2
+
+
+@pytest.mark.parametrize("trigger", ["until_localized", "periodic"])
+def test_an_update_without_motion_checks_the_pose_and_keeps_it(
+    localizer: Localizer, plaza: Plaza, trigger: str
+) -> None:
+    listener = Listener.of(localizer, trigger=trigger, mode="initialpose", query_every_s=100.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3, step=0.0)
+    rests, last = listener.robot.trigger.resting, listener.robot.last
+    listener.walk(plaza, 2, start_s=103.0, step=0.0)
+    assert listener.robot.last is last  # none is due
+    listener.clear()
+    listener.robot.request_update()
+    truth = listener.walk(plaza, 3, start_s=105.0, step=0.0)
+    assert listener.robot.last is not last and listener.robot.fixes == 1
+    assert not listener.of_kind(InitialPose)  # it was right
+    assert all(off(reply.T_map_base, truth) < 0.3 for reply in listener.of_kind(PoseReply))
+    assert listener.robot.trigger.resting == rests and robot_state(listener.robot, True).localized
+    last = listener.robot.last
+    listener.walk(plaza, 2, start_s=108.0, step=0.0)
+    assert listener.robot.last is last  # one was asked for
+
+
+def test_an_update_of_a_robot_that_rests_without_a_pose_is_ignored(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, trigger="service")
+    on_tf_static(listener.robot)
+    listener.robot.request_update()
+    listener.walk(plaza, 2)
+    assert listener.robot.last is None and listener.robot.trigger.resting
+
+
+@pytest.mark.parametrize("kept", ["drop", "keep"])
+def test_a_lost_robot_drops_or_keeps_map_to_odom_and_its_state_tells_which(
+    localizer: Localizer, plaza: Plaza, kept: str
+) -> None:
+    listener = Listener.of(localizer, tf_when_lost=kept, mode="tf")
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    assert robot_state(listener.robot, True).map_to_odom is TfState.CURRENT
+    listener.robot.relocalize()
+    listener.clear()
+    listener.odometry(103.5, np.eye(4))
+    sent = [reply.transform.T_parent_child for reply in listener.of_kind(MapToOdom)]
+    state, told = robot_state(listener.robot, True), diagnose(listener.robot)
+    assert state.status is StateStatus.LOST and not state.localized
+    assert len(sent) == (kept == "keep")
+    if kept == "keep":
+        assert np.allclose(sent[0], T_MAP_ODOM, atol=0.5)
+        assert state.map_to_odom is TfState.KEPT and "map -> odom is kept" in told.message
+        listener.robot.use(localizer)  # another frame
+    listener.clear()
+    listener.odometry(103.7, np.eye(4))
+    assert not listener.of_kind(MapToOdom)
+    assert robot_state(listener.robot, True).map_to_odom is TfState.NONE
+
+
+def test_the_state_for_programs(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(trigger="until_localized", map="/maps/site.segmap")
+    state = robot_state(listener.robot, True)
+    assert (state.status, state.reason) == (StateStatus.LOST, "the map is being read")
+    listener.robot.use(localizer)
+    assert "no cloud yet" in robot_state(listener.robot, True).reason
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    state = robot_state(listener.robot, True)
+    assert state.status is StateStatus.LOCALIZED and state.localized and state.at_rest
+    assert state.confidence > 0.97 and state.reason == "" and state.map_url == "/maps/site.segmap"
+    assert state.stamp == pytest.approx(101.0)
+    listener.cloud(101.5, np.full((9, 3), np.nan))
+    state = robot_state(listener.robot, True)
+    assert state.localized and "cloud refused" in state.reason
+    assert robot_state(listener.robot, False).status is StateStatus.INACTIVE
 
 
 def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza) -> None:

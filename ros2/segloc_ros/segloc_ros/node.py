@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import Empty, Trigger
 
 from segloc import Prior, SeglocError
 
@@ -44,6 +44,10 @@ try:
     from segloc_msgs.srv import LoadMap
 except ImportError:  # then the parameter map does it
     LoadMap = None
+try:
+    from nav2_msgs.srv import SetInitialPose
+except ImportError:  # then the topic initialpose does it
+    SetInitialPose = None
 
 _TICK_S = 0.5
 # What wrong parameters, arguments and installations raise, here and in rclpy.
@@ -78,9 +82,15 @@ class SeglocNode(LifecycleNode):
         self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
         # Calls wait, and must not keep what they wait for from coming in.
         self.calls = ReentrantCallbackGroup()
-        self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
-        if LoadMap is not None:
-            self.create_service(LoadMap, "~/load_map", self._on_load, callback_group=self.calls)
+        for kind, service, on_call in (
+            (Trigger, "relocalize", self._on_relocalize),
+            (Empty, "reinitialize_global_localization", self._on_reinitialize),
+            (Empty, "request_nomotion_update", self._on_update),
+            (SetInitialPose, "set_initial_pose", self._on_set_pose),
+            (LoadMap, "load_map", self._on_load),
+        ):
+            if kind is not None:
+                self.create_service(kind, f"~/{service}", on_call, callback_group=self.calls)
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
@@ -243,6 +253,7 @@ class SeglocNode(LifecycleNode):
             return
         for reply in replies:
             self._outputs.publish(reply, self._tf)
+        self._outputs.publish_state(self.robot, True)
         self.waiting.settle(self.robot.fixes)
 
     def _tick(self) -> None:
@@ -263,6 +274,8 @@ class SeglocNode(LifecycleNode):
             told = self._outputs.look_after(robot, bool(self._inputs))
             if told is not None and told.level is Level.OK:
                 self.get_logger().info(told.message)
+            elif told is not None and told.level is Level.ERROR:
+                self.get_logger().error(told.message)
             elif told is not None:
                 self.get_logger().warning(told.message)
         if robot.keeper is not None:
@@ -279,6 +292,19 @@ class SeglocNode(LifecycleNode):
     ) -> Trigger.Response:
         response.success = await self.find()
         response.message = self.why()
+        return response
+
+    def _on_reinitialize(self, request: Empty.Request, response: Empty.Response) -> Empty.Response:
+        self.find()
+        return response
+
+    def _on_update(self, request: Empty.Request, response: Empty.Response) -> Empty.Response:
+        if self.pump is not None:
+            self.pump.read(lambda robot: robot.request_update())
+        return response
+
+    def _on_set_pose(self, request: Any, response: Any) -> Any:
+        self._on_click(request.pose)
         return response
 
     async def _on_load(self, request: Any, response: Any) -> Any:

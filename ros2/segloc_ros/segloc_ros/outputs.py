@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
 from segloc import Localizer
 
-from .core.diagnosis import Diagnosis, Level, diagnose
+from .core.diagnosis import Diagnosis, Level, RobotState, diagnose, robot_state
 from .core.maps import map_points
 from .core.replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .core.robot import Robot
@@ -24,9 +27,15 @@ from .messages import (
     matches_out,
     odometry_out,
     pose_out,
+    state_out,
 )
 from .tf_port import TfPort
 from .tracker_port import TrackerPort
+
+try:
+    from segloc_msgs.msg import State
+except ImportError:  # then ~/localized and /diagnostics have the state
+    State = None
 
 
 class Outputs:
@@ -41,7 +50,10 @@ class Outputs:
     def __init__(self, node: Node, settings: Settings) -> None:
         self._node, self._settings = node, settings
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", latched)
+        self._localized = node.create_publisher(Bool, "~/localized", latched)
+        self._state = None if State is None else node.create_publisher(State, "~/state", latched)
+        self._published: RobotState | None = None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._map = node.create_publisher(PointCloud2, "~/map_cloud", latched)
         self._matches = node.create_publisher(MarkerArray, "~/matches", 1)
@@ -72,6 +84,17 @@ class Outputs:
         else:
             self._matches.publish(matches_out(reply))
 
+    def publish_state(self, robot: Robot, active: bool) -> None:
+        """Publish the state of a robot if anything but its stamp has changed."""
+        state, last = robot_state(robot, active), self._published
+        if last is not None and state == replace(last, stamp=state.stamp):
+            return
+        self._published = state
+        if self._state is not None:
+            self._state.publish(state_out(state, self._settings.map_frame, State()))
+        if last is None or last.localized != state.localized:
+            self._localized.publish(Bool(data=state.localized))
+
     def show_map(self, localizer: Localizer) -> None:
         """Latch the cloud of a map."""
         most = self._settings.map_cloud_points
@@ -85,6 +108,7 @@ class Outputs:
     def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
         """What is done now and then; what is said where that has changed."""
         told = self._diagnosis(robot, active)
+        self.publish_state(robot, active)
         if self._tracker is not None:
             if robot.T_map_odom is None:
                 self._tracker.forget()
@@ -105,7 +129,7 @@ class Outputs:
     def close(self) -> None:
         """End all."""
         ours = [self._pose, self._diagnostics, self._map, self._matches, self._candidates]
-        ours.append(self._odometry)
+        ours += [self._odometry, self._localized, self._state]
         for publisher in ours:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

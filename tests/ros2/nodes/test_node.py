@@ -336,7 +336,10 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
     peer.clear()
     site, log = str(maps / "site.segmap"), tmp_path / "log"
-    quiet = PARAMETERS | {"mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0}
+    quiet = PARAMETERS | {
+        "mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0,
+        "click_topic": "~/click",  # the peer listens to initialpose
+    }  # fmt: skip
     with running(NODE, log, map=site, **quiet):
         peer.ready()
         peer.tell_mount()

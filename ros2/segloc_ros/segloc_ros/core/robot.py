@@ -34,6 +34,7 @@ from .trigger import Trigger
 
 _MOST_POSES = 4096
 _NEAR_S = 0.5
+_AT_ONCE = {"every_s": 1e-9, "every_lost_s": 1e-9}
 _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
 """A tracker is told again where it is once that differs by more."""
 
@@ -105,6 +106,8 @@ class Robot:
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
+        self._live, self._is_update_due = settings.live, False
+        self._kept: Pose | None = None  # the last T_map_odom, broadcast while the robot is lost
         self._told: Pose | None = None  # T_map_odom that a tracker has, or nothing is believed
         self._supposed: Pose | None = None  # T_map_odom of a map that was switched to
 
@@ -134,6 +137,7 @@ class Robot:
         """Take a map, the first or another: the pose in the one before is forgotten."""
         self._localizer = localizer
         self._end()
+        self._kept = None
         self._own.pop("map", None)
 
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
@@ -148,6 +152,7 @@ class Robot:
             T_map_base = T_new_old @ pose[0]
             prior = Prior(T_map_base[:2, 3], self.settings.click_radius_m)
             self._supposed = T_map_base @ geometry.inverse(pose[1])
+            self._kept = self._supposed if self.settings.tf_when_lost == "keep" else None
         self.relocalize(prior)
 
     def report_map(self, path: str, fault: str, request_fault: str = "") -> None:
@@ -316,6 +321,18 @@ class Robot:
             self.state = self._core.forget()
         return self.fixes
 
+    def request_update(self) -> None:
+        """Query at the next cloud although the robot does not move; the pose stays.
+
+        A robot that is at rest checks its pose, and rests again. One that rests without a pose
+        ignores it.
+        """
+        if self.trigger.resting and self.trigger.held is None:
+            return
+        if self.trigger.resting:
+            self.trigger.wake()
+        self._is_update_due = True
+
     def quiet(self, seconds: float) -> list[Reply]:
         """Nothing has come in for so long."""
         if self._core is None or not self._core.scans:
@@ -327,9 +344,13 @@ class Robot:
     def due(self) -> Job | None:
         """The query to be made now, if any."""
         core = self._core
-        asked = None if core is None else core.due()
-        if core is None or asked is None:
+        if core is None:
             return None
+        if self._is_update_due:
+            core.config = self._live.model_copy(update=_AT_ONCE)
+        if (asked := core.due()) is None:
+            return None
+        core.config, self._is_update_due = self._live, False
         near = self.trigger.near(asked.stamp) or asked.near or self._fixed(asked.stamp)
         if self.trigger.resting:
             core.answer(asked, None)
@@ -394,6 +415,11 @@ class Robot:
             return None
         return believed.T_map_odom @ self.body.T_level_odom
 
+    @property
+    def keeps_tf(self) -> bool:
+        """Whether the last map -> odom is broadcast although the robot is lost."""
+        return self.settings.tells_tf and self.T_map_odom is None and self._kept is not None
+
     def initial_pose(self) -> InitialPose | None:
         """Where it is now, for a tracker; None while it is not localized."""
         now = self._now()
@@ -426,9 +452,7 @@ class Robot:
         if self._localizer is None:
             return None
         if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
-            self._core = LiveCore(
-                self._localizer, self.settings.live, T_base_lidar, keeper=self.keeper
-            )
+            self._core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
             self.state, self._told = None, None
             for stamp, T in self._odometry:
                 self._core.add_odometry(stamp, T)
@@ -469,6 +493,8 @@ class Robot:
     def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:
         settings, believed = self.settings, self.believed
         T = None if believed is None else believed.T_map_odom
+        if settings.tf_when_lost == "keep":
+            T = self._kept = self._kept if T is None else T
         if T is None and self._smooth is not None:
             self._smooth.clear()
         if T is None or not settings.tells_tf:
@@ -525,6 +551,8 @@ class Robot:
             told = self.initial_pose()
             if self.settings.tells_initialpose and told is not None:
                 replies.append(told)
+            self.trigger.found(state)
+        elif state.status is Status.LOCALIZED and state.answered is not None:
             self.trigger.found(state)
         return replies
 

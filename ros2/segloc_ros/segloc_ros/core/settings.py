@@ -59,7 +59,7 @@ class Settings(Section):
         "", description="sensor_msgs/NavSatFix: where to search first in a georeferenced map"
     )
     click_topic: str = Field(
-        "~/click", description="a rough pose to refine; '': none. initialpose, too, if need be"
+        "initialpose", description="a rough pose, as RViz sends it, to refine; '': none"
     )
     initialpose_topic: str = Field("initialpose", description="where poses for a tracker go")
     set_initial_pose_service: str = Field(
@@ -90,6 +90,9 @@ class Settings(Section):
     )
 
     tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="of map -> odom at most")
+    tf_when_lost: Literal["drop", "keep"] = Field(
+        "drop", description="map -> odom of a lost robot: stop it, or keep the last one"
+    )
     tf_ahead_s: float = Field(0.2, ge=0, le=10, description="map -> odom is post-dated by this")
     smooth_tf: bool = Field(
         False, description="correct map -> odom at a bounded rate, without jumps; ~/pose as well"
