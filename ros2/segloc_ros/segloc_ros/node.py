@@ -27,6 +27,7 @@ from std_srvs.srv import Empty, Trigger
 
 from segloc import Prior, SeglocError
 
+from .bond_port import BondPort
 from .core.diagnosis import Level
 from .core.frames import Transform
 from .core.maps import MapFile
@@ -78,8 +79,9 @@ class SeglocNode(LifecycleNode):
         self._tf: TfPort | None = None
         self._inputs: list[Any] = []
         self._heard_at, self._quiet = time.monotonic(), False
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
+        self._bond: BondPort | None = None
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_TICK_S, self._tick, clock=self._steady)
         # Calls wait, and must not keep what they wait for from coming in.
         self.calls = ReentrantCallbackGroup()
         for kind, service, on_call in (
@@ -145,7 +147,18 @@ class SeglocNode(LifecycleNode):
             self.get_logger().error(one_line(error))
             self.on_deactivate(state)
             return TransitionCallbackReturn.FAILURE
+        if not self.get_parameter("autostart").value:
+            self._start_bond()
         return super().on_activate(state)
+
+    def _start_bond(self) -> None:
+        """Send heartbeats to the lifecycle manager that has activated the node."""
+        try:
+            self._bond = BondPort(self, self._steady)
+        except ImportError:
+            self.get_logger().warning(
+                "no package bond: install it, or set bond_timeout: 0.0 in Nav2's lifecycle manager"
+            )
 
     def _subscribe(self, settings: Settings) -> None:
         reliability = ReliabilityPolicy.BEST_EFFORT
@@ -170,6 +183,9 @@ class SeglocNode(LifecycleNode):
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
         self._inputs = []
+        if self._bond is not None:
+            self._bond.close()
+            self._bond = None
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
