@@ -124,7 +124,7 @@ class SeglocNode(LifecycleNode):
             except ImportError:
                 self._without_tf(settings)
             self.robot = Robot(settings)
-            maps = MapFile(settings.map, settings.threads)
+            maps = MapFile(settings.map, settings.threads, self.get_logger().info)
         except REFUSALS as error:
             self.get_logger().error(one_line(error))
             self._tear_down()

@@ -128,10 +128,13 @@ def diagnose(robot: Robot) -> Diagnosis:
 
 def _summary(robot: Robot) -> tuple[Level, str]:
     if fault := _fault(robot):
-        return Level.ERROR if "map" in robot.faults else Level.WARN, fault
+        is_error = "map" in robot.faults and not robot.map_progress
+        return Level.ERROR if is_error else Level.WARN, fault
     level, message = _state(robot)
     if robot.keeps_tf:
         message = f"{message}; the last map -> odom is kept"
+    if robot.map_progress:
+        return Level.WARN, f"{message}; {robot.map_progress}"
     if robot.map_fault:  # the map in use is older than its file
         return Level.ERROR, f"{message}; the map in use stays: {robot.map_fault}"
     if robot.publishers is not None and robot.publishers > 1:

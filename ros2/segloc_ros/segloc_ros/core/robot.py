@@ -64,6 +64,8 @@ class Robot:
     map_path, map_fault, request_fault : str
         The file of the map, why it cannot be read, and why the last one on request was not; "" if
         they were.
+    map_progress : str
+        What is being done to a cloud of which the map is built; "" otherwise.
     publishers : int or None
         Of ``points``; None if unknown.
     hint : str
@@ -84,6 +86,7 @@ class Robot:
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
         self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
+        self.map_progress = ""
         self.publishers: int | None = None
         self.hint = ""
         self._arrived: float | None = None  # when the last cloud came, by a steady clock
@@ -155,14 +158,17 @@ class Robot:
             self._kept = self._supposed if self.settings.tf_when_lost == "keep" else None
         self.relocalize(prior)
 
-    def report_map(self, path: str, fault: str, request_fault: str = "") -> None:
+    def report_map(
+        self, path: str, fault: str, request_fault: str = "", progress: str = ""
+    ) -> None:
         """Report the map's file, why it cannot be read, and why the last one on request was not.
 
-        A map in use stays in use.
+        ``progress`` is what is being done to a cloud. A map in use stays in use.
         """
         self.map_path, self.map_fault, self.request_fault = path, fault, request_fault
-        if self._localizer is None and fault:
-            self._own["map"] = fault
+        self.map_progress = progress
+        if self._localizer is None and (progress or fault):
+            self._own["map"] = progress or fault
 
     def on_transforms(self, transforms: list[Transform], static: bool) -> list[Reply]:
         """tf2_msgs/TFMessage. A mount that moves ends the localization."""

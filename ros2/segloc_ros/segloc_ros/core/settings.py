@@ -25,7 +25,7 @@ class Settings(Section):
 
     map: str = Field(
         "",
-        description=".segmap, or folder or URL of tiles; read again when it changes or is set",
+        description=".segmap, cloud, folder or URL of tiles; read again when it changes or is set",
     )
     mode: Literal["initialpose", "tf", "both"] = Field(
         "initialpose", description="what is told: a pose for a tracker such as AMCL, map -> odom"
