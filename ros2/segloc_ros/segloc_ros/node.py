@@ -30,11 +30,12 @@ from segloc import Prior, SeglocError
 from .bond_port import BondPort
 from .core.diagnosis import Level
 from .core.frames import Transform
-from .core.maps import MapFile
+from .core.maps import MapFile, grid_beside
 from .core.pump import Pump
 from .core.replies import Reply
 from .core.robot import Robot
 from .core.settings import Settings
+from .grid_port import GridPort
 from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .process import EndSignal
@@ -77,6 +78,7 @@ class SeglocNode(LifecycleNode):
         self.pump: Pump | None = None
         self._outputs: Outputs | None = None
         self._tf: TfPort | None = None
+        self._grid: GridPort | None = None
         self._inputs: list[Any] = []
         self._heard_at, self._quiet = time.monotonic(), False
         self._bond: BondPort | None = None
@@ -123,6 +125,7 @@ class SeglocNode(LifecycleNode):
                 self._tf = TfPort(self, self._on_tf)
             except ImportError:
                 self._without_tf(settings)
+            self._grid = self._grid_port(settings.grid_service)
             self.robot = Robot(settings)
             maps = MapFile(settings.map, settings.threads, self.get_logger().info)
         except REFUSALS as error:
@@ -139,6 +142,12 @@ class SeglocNode(LifecycleNode):
         if settings.tells_tf or settings.odometry == "tf":
             raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
+
+    def _grid_port(self, service: str) -> GridPort | None:
+        try:
+            return GridPort(self, service) if service else None
+        except ImportError:  # then there is no Nav2
+            return None
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
@@ -199,10 +208,10 @@ class SeglocNode(LifecycleNode):
 
     def _tear_down(self) -> None:
         self._close_pump()
-        for port in (self._outputs, self._tf):
+        for port in (self._outputs, self._tf, self._grid):
             if port is not None:
                 port.close()
-        self.robot, self._outputs, self._tf = None, None, None
+        self.robot, self._outputs, self._tf, self._grid = None, None, None, None
 
     def _close_pump(self) -> None:
         if self.pump is not None:
@@ -347,6 +356,8 @@ class SeglocNode(LifecycleNode):
         def done(fault: str) -> None:
             if fault:
                 self.get_logger().error(f"the map stays as it was: {fault}")
+            elif self._grid is not None and (grid := grid_beside(path)):
+                self._grid.load(grid)
             future.set_result(fault)
 
         self.pump.load(path, T_new_old, done)

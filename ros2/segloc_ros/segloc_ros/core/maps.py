@@ -136,6 +136,19 @@ def _signature(path: str) -> tuple[int, int, int]:
     return (found.st_mtime_ns, found.st_size, found.st_ino)
 
 
+def grid_beside(path: str) -> str:
+    """Return Nav2's map.yaml of a map; "" if there is none.
+
+    It is ``site.yaml`` or ``site/map.yaml`` beside ``site.segmap``, and ``map.yaml`` in a folder.
+    """
+    where = Path(path)
+    if _is_url(path):
+        return ""
+    stem = where if where.is_dir() else where.with_suffix("")
+    beside = stem / "map.yaml", stem.with_name(f"{stem.name}.yaml")
+    return next((str(file.resolve()) for file in beside if file.is_file()), "")
+
+
 def map_points(prior_map: SegmentMap, most: int) -> Float32:
     """Points of a map in its frame, evenly thinned, (N, 3) float32; of tiles the centroids."""
     points = prior_map.cloud + prior_map.origin if len(prior_map.cloud) else prior_map.centroids

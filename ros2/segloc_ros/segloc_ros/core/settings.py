@@ -66,6 +66,11 @@ class Settings(Section):
         "", description="AMCL's service, such as set_initial_pose, called as well; '': none"
     )
 
+    grid_service: str = Field(
+        "map_server/load_map",
+        description="of Nav2, called with the grid beside another map that is loaded; '': none",
+    )
+
     map_frame: str = "map"
     odom_frame: str = Field("odom", description="of odometry by tf; a topic names its own")
     base_frame: str = "base_link"

@@ -1,14 +1,17 @@
-"""The bond with a lifecycle manager, with stand-ins for ROS."""
+"""The bond with a lifecycle manager, and calls of the map server, with stand-ins for ROS."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from segloc_ros import bond_port
 from segloc_ros.bond_port import BondPort
+from segloc_ros.core.maps import grid_beside
+from segloc_ros.grid_port import GridPort
 
 
 class Side:
@@ -101,3 +104,42 @@ def test_a_manager_that_ends_or_falls_silent_breaks_the_bond(clock: SimpleNamesp
     clock.now += 0.2
     silent.beat()
     assert len(silent.sent["bond"]) == 1
+
+
+def test_the_grid_beside_a_map_is_found(tmp_path: Path) -> None:
+    map_yaml, site_yaml = tmp_path / "site" / "map.yaml", tmp_path / "site.yaml"
+    for name in ("site.segmap", "site.pcd", "site"):
+        assert grid_beside(str(tmp_path / name)) == ""
+    site_yaml.touch()
+    assert grid_beside(str(tmp_path / "site.segmap")) == str(site_yaml)
+    map_yaml.parent.mkdir()
+    map_yaml.touch()
+    for name in ("site.segmap", "site.pcd", "site"):
+        assert grid_beside(str(tmp_path / name)) == str(map_yaml)
+    assert grid_beside(str(tmp_path / "other.segmap")) == ""
+    assert grid_beside("https://maps.example/site") == ""
+
+
+@pytest.mark.parametrize(
+    ("ready", "result", "told"),
+    [(True, 0, "site.yaml loaded"), (True, 2, "returned result 2"), (False, 0, "no service")],
+)
+def test_the_map_server_is_called(
+    monkeypatch: pytest.MonkeyPatch, ready: bool, result: int, told: str
+) -> None:
+    kind = SimpleNamespace(Request=SimpleNamespace, Response=SimpleNamespace(RESULT_SUCCESS=0))
+    monkeypatch.setitem(sys.modules, "nav2_msgs", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "nav2_msgs.srv", SimpleNamespace(LoadMap=kind))
+    called: list[str] = []
+    log: list[str] = []
+
+    def call_async(request: Any) -> Any:
+        called.append(request.map_url)
+        done = SimpleNamespace(result=lambda: SimpleNamespace(result=result))
+        return SimpleNamespace(add_done_callback=lambda callback: callback(done))
+
+    client = SimpleNamespace(service_is_ready=lambda: ready, call_async=call_async)
+    logger = SimpleNamespace(info=log.append, warning=log.append, error=log.append)
+    node = SimpleNamespace(create_client=lambda kind, service: client, get_logger=lambda: logger)
+    GridPort(node, "map_server/load_map").load("/maps/site.yaml")
+    assert called == ["/maps/site.yaml"] * ready and len(log) == 1 and told in log[0]
