@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -600,6 +601,37 @@ def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Pla
         truth = T_map_lidar @ lidar_base
         assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
         assert diagnose(listener.robot).message == "localized"
+
+
+def livox_of(points: Any, stamp: float, frame: str = LIDAR) -> bytes:
+    """A livox_ros_driver2/CustomMsg of (N, 3) points in CDR, measured within 0.1 s."""
+    body = struct.pack("<iII", int(stamp), round(1e9 * (stamp % 1.0)), len(frame) + 1)
+    body += frame.encode() + b"\0"
+    body += b"\0" * (-len(body) % 8)
+    body += struct.pack("<QIB3xI", round(1e9 * stamp), len(points), 1, len(points))
+    kind = [("offset_time", "<u4"), ("xyz", "<f4", 3), ("rest", "V4")]
+    rows = np.zeros(len(points), kind)
+    rows["xyz"], rows["offset_time"] = points, np.linspace(0, 1e8, len(points))
+    return b"\0\1\0\0" + body + rows.tobytes()[:-1]
+
+
+def test_livox_messages_are_read_from_their_bytes(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    lidar_base = geometry.inverse(MOUNT)
+    for events, T_map_lidar in walked(plaza, 6, step=0.1):
+        truth, (before, main, behind) = T_map_lidar @ lidar_base, events
+        listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
+        listener.hear(listener.robot.on_livox(livox_of(main.scan.points, main.stamp)))
+        listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+    told = diagnose(listener.robot)
+    assert told.message == "localized" and told.values["scans"] == "6"
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert not told.values.get("point times")  # in seconds after the stamp
+    for data in (livox_of(main.scan.points, 107.0)[:500], b"\0\1\0\0", b""):
+        assert listener.robot.on_livox(data) == []
+    told = diagnose(listener.robot)
+    assert told.values["refused: unreadable"] == "3" and "cloud refused" in told.message
 
 
 def test_points_on_the_robot_are_dropped_by_the_box_of_the_map(

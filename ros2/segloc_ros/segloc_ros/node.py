@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from functools import partial
 from typing import Any
@@ -30,6 +31,7 @@ from segloc import Prior, SeglocError
 from .bond_port import BondPort
 from .core.diagnosis import Level
 from .core.frames import Transform
+from .core.livox import is_livox
 from .core.maps import MapFile, grid_beside
 from .core.pump import Pump
 from .core.replies import Reply
@@ -52,6 +54,7 @@ except ImportError:  # then the topic initialpose does it
     SetInitialPose = None
 
 _TICK_S = 0.5
+_POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 # What wrong parameters, arguments and installations raise, here and in rclpy.
 REFUSALS = (
     SeglocError, ImportError, NameValidationException, ParameterException,
@@ -80,6 +83,7 @@ class SeglocNode(LifecycleNode):
         self._tf: TfPort | None = None
         self._grid: GridPort | None = None
         self._inputs: list[Any] = []
+        self._cloud_types: dict[str, str] = {}  # by topic, as subscribed
         self._heard_at, self._quiet = time.monotonic(), False
         self._bond: BondPort | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,14 +174,10 @@ class SeglocNode(LifecycleNode):
             )
 
     def _subscribe(self, settings: Settings) -> None:
-        reliability = ReliabilityPolicy.BEST_EFFORT
-        if settings.points_reliable:
-            reliability = ReliabilityPolicy.RELIABLE
-        clouds = QoSProfile(depth=settings.points_depth, reliability=reliability)
+        for topic in (settings.points_topic, *settings.more_points_topics):
+            self._inputs.append(self._subscribe_clouds(settings, topic, _POINT_CLOUD2))
         fast = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-        lidars = (settings.points_topic, *settings.more_points_topics)
         wanted = [
-            *((PointCloud2, topic, partial(self._on_cloud, topic), clouds) for topic in lidars),
             (Imu, settings.imu_topic, self._on_imu, fast),
             (NavSatFix, settings.fix_topic, self._on_fix, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
@@ -188,10 +188,49 @@ class SeglocNode(LifecycleNode):
             if topic:
                 self._inputs.append(self.create_subscription(kind, topic, heard, qos))
 
+    def _subscribe_clouds(self, settings: Settings, topic: str, type_name: str) -> Any:
+        """Subscribe to a LiDAR's topic of a type.
+
+        Raise ImportError if the type is not installed.
+        """
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        if settings.points_reliable:
+            reliability = ReliabilityPolicy.RELIABLE
+        qos = QoSProfile(depth=settings.points_depth, reliability=reliability)
+        self._cloud_types[topic] = type_name
+        if type_name == _POINT_CLOUD2:
+            heard = partial(self._on_cloud, topic)
+            return self.create_subscription(PointCloud2, topic, heard, qos)
+        package, _, name = type_name.split("/")
+        kind = getattr(importlib.import_module(f"{package}.msg"), name)
+        return self.create_subscription(kind, topic, partial(self._on_livox, topic), qos, raw=True)
+
+    def _follow_cloud_types(self, robot: Robot) -> None:
+        """Subscribe with Livox's type to topics that have no publisher of another type."""
+        for k, (topic, subscribed) in enumerate(list(self._cloud_types.items())):
+            ends = self.get_publishers_info_by_topic(self._inputs[k].topic_name)
+            types = sorted({end.topic_type for end in ends})
+            if not types or subscribed in types:
+                continue
+            if types[0] != _POINT_CLOUD2 and not is_livox(types[0]):
+                robot.report_topic(f"{topic} is {types[0]}, not {_POINT_CLOUD2}: remap points")
+                continue
+            try:
+                subscription = self._subscribe_clouds(robot.settings, topic, types[0])
+            except ImportError:
+                self._cloud_types[topic] = subscribed
+                robot.report_topic(
+                    f"{topic} is {types[0]}, which is not installed: source the driver's "
+                    "workspace, or set its xfer_format to 0"
+                )
+                continue
+            self.destroy_subscription(self._inputs[k])
+            self._inputs[k] = subscription
+
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._inputs = []
+        self._inputs, self._cloud_types = [], {}
         if self._bond is not None:
             self._bond.close()
             self._bond = None
@@ -234,6 +273,11 @@ class SeglocNode(LifecycleNode):
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
         if self.pump is not None:
             self.pump.feed_cloud(lambda robot: robot.on_cloud(message, stamp, frame, topic))
+
+    def _on_livox(self, topic: str, data: bytes) -> None:
+        self._heard_at, self._quiet = time.monotonic(), False
+        if self.pump is not None:
+            self.pump.feed_cloud(lambda robot: robot.on_livox(data, topic))
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (
@@ -295,6 +339,7 @@ class SeglocNode(LifecycleNode):
             self._publish(robot.quiet(quiet_s))
         if self._inputs:
             robot.publishers = self.count_publishers(self._inputs[0].topic_name)
+            self._follow_cloud_types(robot)
         if self._outputs is not None:
             told = self._outputs.look_after(robot, bool(self._inputs))
             if told is not None and told.level is Level.OK:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict, deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from segloc import Localizer, Prior, SeglocError, geometry
+from segloc import Localizer, Prior, Scan, SeglocError, geometry
 from segloc.batch.run import gnss_priors
 from segloc.datasets.clocks import StreamTimes
 from segloc.datasets.fixes import Fixes
@@ -26,6 +27,7 @@ from segloc.types import Float64, Pose
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
+from .livox import livox_cloud
 from .queries import Answer, Job, ScansInOdom, make
 from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings
@@ -194,6 +196,26 @@ class Robot:
 
         ``topic``: of which LiDAR it is, if there are several.
         """
+        names = [field.name for field in cloud.fields]
+        return self._on_scan(lambda: to_scan(cloud), names, stamp, frame, topic)
+
+    def on_livox(self, data: bytes, topic: str = "") -> list[Reply]:
+        """livox_ros_driver2/CustomMsg, serialised; otherwise as :meth:`on_cloud`."""
+        try:
+            stamp, frame, scan = livox_cloud(data)
+        except SeglocError as error:
+            self._arrived = time.monotonic()
+            return self._refuse("unreadable", f"cloud refused: {error}")
+        return self._on_scan(lambda: scan, [], stamp, frame, topic)
+
+    def report_topic(self, fault: str) -> None:
+        """Report that clouds of a topic cannot be received."""
+        self._own["points"] = fault
+
+    def _on_scan(
+        self, read: Callable[[], Scan], names: list[str], stamp: float, frame: str, topic: str
+    ) -> list[Reply]:
+        """Take a cloud; ``names`` are those of its fields."""
         begun = time.perf_counter()
         self._arrived = time.monotonic()
         self._own.pop("points", None)
@@ -207,15 +229,14 @@ class Robot:
                 self._end()
             return []
         try:
-            scan = to_scan(cloud)
+            scan = read()
         except SeglocError as error:
             return self._refuse("unreadable", f"cloud refused: {error}")
         if not len(scan):
-            count = int(cloud.width) * int(cloud.height)
-            unusable = f"all {count} points are zero or not finite" if count else "no points"
-            return self._refuse("no usable points", f"cloud refused: {unusable}: check the driver")
+            unusable = "cloud refused: no points, or all are zero or not finite: check the driver"
+            return self._refuse("no usable points", unusable)
         if topic not in self._unread:
-            self._unread[topic] = unread_times(field.name for field in cloud.fields)
+            self._unread[topic] = unread_times(names)
         given = MountedScan(stamp, self.point_times[topic].apply(scan, stamp), T_base_lidar)
         replies: list[Reply] = []
         for each in self._merged(topic, given):
