@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -338,6 +340,34 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     listener.clear()
     listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
     assert listener.of_kind(InitialPose)
+    told = diagnose(listener.robot)
+    assert told.level is Level.ERROR
+    assert told.message == "localized; the map in use stays: no map: it is gone"
+
+
+@pytest.mark.slow
+def test_memory_is_flat_after_a_cloud_of_5_million_points(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    truth = listener.walk(plaza, 6)
+    before_mb = resident_mb()
+    rng = np.random.default_rng(0)
+    points = np.tile(plaza.scan(truth @ MOUNT, posed=False).points, (200, 1))[:5_000_000]
+    listener.cloud(106.0, points + rng.normal(0.0, 0.01, points.shape).astype(np.float32))
+    listener.odometry(106.2, np.asarray(listener.robot.state.T_odom_base))
+    assert listener.robot.points > 1_000_000
+    del points
+    listener.walk(plaza, 8, start_s=107.0)
+    assert resident_mb() < before_mb + 60.0
+
+
+def resident_mb() -> float:
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("needs Linux")
+    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(

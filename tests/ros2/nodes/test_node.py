@@ -28,8 +28,8 @@ from segloc.types import Pose
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("tf2_msgs")
 
-from rclpy.parameter import Parameter  # noqa: E402
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import LATCHED, MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
 from segloc_ros.messages import pose_in, pose_out, seconds, time_of, transform_in  # noqa: E402
