@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +12,15 @@ import numpy as np
 import pytest
 from samples.on_board import BODY, beside, with_mast
 from samples.plaza import Plaza
-from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
+from samples.ros_drive import (
+    LIDAR,
+    MOUNT,
+    T_MAP_ODOM,
+    Listener,
+    cloud_of,
+    livox_of,
+    on_tf_static,
+)
 from samples.streams import walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
@@ -631,18 +638,6 @@ def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Pla
         truth = T_map_lidar @ lidar_base
         assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
         assert diagnose(listener.robot).message == "localized"
-
-
-def livox_of(points: Any, stamp: float, frame: str = LIDAR) -> bytes:
-    """A livox_ros_driver2/CustomMsg of (N, 3) points in CDR, measured within 0.1 s."""
-    body = struct.pack("<iII", int(stamp), round(1e9 * (stamp % 1.0)), len(frame) + 1)
-    body += frame.encode() + b"\0"
-    body += b"\0" * (-len(body) % 8)
-    body += struct.pack("<QIB3xI", round(1e9 * stamp), len(points), 1, len(points))
-    kind = [("offset_time", "<u4"), ("xyz", "<f4", 3), ("rest", "V4")]
-    rows = np.zeros(len(points), kind)
-    rows["xyz"], rows["offset_time"] = points, np.linspace(0, 1e8, len(points))
-    return b"\0\1\0\0" + body + rows.tobytes()[:-1]
 
 
 def test_livox_messages_are_read_from_their_bytes(localizer: Localizer, plaza: Plaza) -> None:
