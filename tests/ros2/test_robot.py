@@ -60,11 +60,11 @@ def test_a_drive_gives_poses_of_the_base_and_map_to_odom(
     assert last.stamp == pytest.approx(105.2 + 0.2)  # of the newest odometry, post-dated
     assert len(listener.of_kind(InitialPose)) == 1  # told once: what followed agreed with it
     shown = listener.of_kind(MatchesReply)[-1]
-    assert shown.believed and len(shown.centroids) > 5
+    assert shown.accepted and len(shown.centroids) > 5
     told = diagnose(listener.robot)
     assert told.level is Level.OK and told.message == "localized"
     assert float(told.values["total_ms"]) > 0 and "segmentation_ms" in told.values
-    assert told.values["last query"] == "believed"
+    assert told.values["last query"] == "accepted"
 
 
 def test_poses_for_a_tracker_leave_room_and_those_beside_do_not(

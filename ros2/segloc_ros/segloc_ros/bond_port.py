@@ -41,7 +41,7 @@ class BondPort:
         self._timer = node.create_timer(PERIOD_S, self._beat, clock=clock)
 
     def close(self) -> None:
-        """End the bond, and tell the manager."""
+        """End the bond, with a last message to the manager."""
         self._node.destroy_timer(self._timer)
         if not self._bond.is_broken:
             self._send(False)

@@ -141,7 +141,7 @@ def _marker(reply: MatchesReply, number: int, kind: int, size: float) -> Marker:
     marker.header.frame_id, marker.header.stamp = reply.frame, time_of(reply.stamp)
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = marker.scale.z = size
-    marker.color.r, marker.color.g, marker.color.b = _GREEN if reply.believed else _ORANGE
+    marker.color.r, marker.color.g, marker.color.b = _GREEN if reply.accepted else _ORANGE
     marker.color.a = 0.9
     return marker
 

@@ -1,4 +1,4 @@
-"""The node: topics and services of ROS around the core, and nothing that the core could do."""
+"""The node: topics and services of ROS around the core."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class SeglocNode(LifecycleNode):
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
-        """What the parameters say.
+        """Return the settings that the parameters hold.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class SeglocNode(LifecycleNode):
         return super().on_configure(state)
 
     def _without_tf(self, settings: Settings) -> None:
-        if settings.tells_tf or settings.odometry == "tf":
+        if settings.broadcasts_tf or settings.odometry == "tf":
             raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
 
@@ -263,7 +263,7 @@ class SeglocNode(LifecycleNode):
         self._close_pump()
         super().destroy_node()
 
-    # --- what comes in -------------------------------------------------------------------------
+    # --- inputs --------------------------------------------------------------------------------
 
     def _warn(self, fault: str) -> None:
         self.get_logger().warning(fault, throttle_duration_sec=5.0)
@@ -313,9 +313,9 @@ class SeglocNode(LifecycleNode):
         except SeglocError as error:
             why = str(error)
         if why and why != "an echo":
-            self.get_logger().warning(f"passed over: {why}")
+            self.get_logger().warning(f"pose ignored: {why}")
 
-    # --- what is said --------------------------------------------------------------------------
+    # --- outputs -------------------------------------------------------------------------------
 
     def _publish(self, replies: list[Reply]) -> None:
         if self._outputs is None or self.robot is None or not self._inputs:
@@ -392,7 +392,7 @@ class SeglocNode(LifecycleNode):
                 self._load(str(each.value))
 
     def _load(self, path: str, T_new_old: Any = None) -> Future:
-        """Replace the map; a future of the fault, "" if there is none."""
+        """Replace the map; return a future of the fault, "" if there is none."""
         future = Future(executor=self.executor)
         if self.pump is None:
             future.set_result("the node is not configured")
@@ -409,7 +409,7 @@ class SeglocNode(LifecycleNode):
         return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
-        """Look for the robot; a future that says whether it was found."""
+        """Search the robot; return a future that is True if it is found."""
         future = Future(executor=self.executor)
         if self.pump is None or self.robot is None or not self._inputs:
             future.set_result(False)
@@ -418,7 +418,7 @@ class SeglocNode(LifecycleNode):
         return self.waiting.wait(fixes, self.robot.settings.service_timeout_s, future)
 
     def why(self) -> str:
-        """How it stands, in a line."""
+        """Return the state in one line."""
         if self.pump is None or self._outputs is None or not self._inputs:
             return "the node is not active"
         return self.pump.read(self._outputs.summary)
@@ -430,7 +430,7 @@ def run(kind: type[SeglocNode], end: EndSignal) -> bool:
     Returns
     -------
     bool
-        False if its parameters, or what is installed, do not let it start; the log says why.
+        False if parameters or missing packages prevent the start; the log has the reason.
     """
     stop: Future = Future()
     try:

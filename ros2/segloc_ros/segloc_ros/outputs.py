@@ -61,16 +61,16 @@ class Outputs:
         self._odometry = None
         if settings.odometry == "kiss-icp" and settings.odom_topic:
             self._odometry = node.create_publisher(Odometry, settings.odom_topic, 10)
-        self._tracker = TrackerPort(node, settings) if settings.tells_initialpose else None
+        self._tracker = TrackerPort(node, settings) if settings.sends_initialpose else None
         self._said = ""
 
     def publish(self, reply: Reply, tf: TfPort | None) -> None:
-        """What the core says."""
+        """Publish an output of the core."""
         if isinstance(reply, PoseReply):
             self._pose.publish(pose_out(reply))
         elif isinstance(reply, InitialPose):
             if self._tracker is not None:
-                self._tracker.tell(reply)
+                self._tracker.send(reply)
         elif isinstance(reply, MapToOdom):
             if tf is not None:
                 tf.send(reply.transform)
@@ -96,7 +96,7 @@ class Outputs:
             self._localized.publish(Bool(data=state.localized))
 
     def show_map(self, localizer: Localizer) -> None:
-        """Latch the cloud of a map."""
+        """Publish the cloud of a map, latched, and log notes on the map."""
         most = self._settings.map_cloud_points
         stamp = self._node.get_clock().now().to_msg()
         if most:
@@ -106,14 +106,14 @@ class Outputs:
             self._node.get_logger().warning(note)
 
     def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
-        """What is done now and then; what is said where that has changed."""
+        """Publish state and diagnosis, serve late trackers; return a diagnosis that is new."""
         told = self._diagnosis(robot, active)
         self.publish_state(robot, active)
         if self._tracker is not None:
             if robot.T_map_odom is None:
                 self._tracker.forget()
             elif active:
-                self._tracker.again(robot.initial_pose)
+                self._tracker.send_again(robot.initial_pose)
         stamp = self._node.get_clock().now().to_msg()
         name = f"{self._node.get_name()}: localization"
         self._diagnostics.publish(diagnostics_out(told, name, stamp))
@@ -123,11 +123,11 @@ class Outputs:
         return told
 
     def summary(self, robot: Robot) -> str:
-        """One line."""
+        """Return the state in one line."""
         return diagnose(robot).message
 
     def close(self) -> None:
-        """End all."""
+        """Destroy the publishers."""
         ours = [self._pose, self._diagnostics, self._map, self._matches, self._candidates]
         ours += [self._odometry, self._localized, self._state]
         for publisher in ours:

@@ -89,11 +89,11 @@ class RobotState:
 
 def robot_state(robot: Robot, active: bool) -> RobotState:
     """Return the state of a robot; ``active``: whether the node takes input."""
-    believed = robot.believed
+    current = robot.pose_state
     status, map_to_odom = StateStatus.LOST, TfState.NONE
-    if believed is not None:
-        status = StateStatus[believed.status.name]
-    if robot.settings.tells_tf and robot.T_map_odom is not None:
+    if current is not None:
+        status = StateStatus[current.status.name]
+    if robot.settings.broadcasts_tf and robot.T_map_odom is not None:
         map_to_odom = TfState.CURRENT
     elif robot.keeps_tf:
         map_to_odom = TfState.KEPT
@@ -105,7 +105,7 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
         status,
         robot.trigger.resting,
         reason,
-        0.0 if believed is None else believed.confidence,
+        0.0 if current is None else current.confidence,
         robot.map_path,
         map_to_odom,
     )
@@ -121,7 +121,7 @@ _LEVELS = {
 
 
 def diagnose(robot: Robot) -> Diagnosis:
-    """How a robot is doing."""
+    """Return the diagnosis of a robot."""
     level, message = _summary(robot)
     return Diagnosis(level, message, _values(robot))
 
@@ -155,14 +155,14 @@ def _fault(robot: Robot) -> str:
 
 def _reason(robot: Robot) -> str:
     """Return why a robot without a fault is not localized, or only degraded; "" otherwise."""
-    state = robot.believed
+    state = robot.pose_state
     if state is None:
         return "at rest: call ~/relocalize" if robot.trigger.resting else "no data received yet"
     return state.reason if state.localized else robot.hint or state.reason
 
 
 def _state(robot: Robot) -> tuple[Level, str]:
-    state, reason = robot.believed, _reason(robot)
+    state, reason = robot.pose_state, _reason(robot)
     if robot.trigger.resting:
         return Level.OK, reason if state is None else "localized, at rest"
     if state is None:
@@ -201,7 +201,7 @@ def _values(robot: Robot) -> dict[str, str]:
     if (core := robot.core) is not None:
         values |= {"scans": str(core.scans), "dropped": str(core.dropped)}
     if (last := robot.last) is not None:
-        values["last query"] = last.message or "believed"
+        values["last query"] = last.message or "accepted"
         values["candidates"] = " ".join(f"{p:.3f}" for _, p in last.candidates)
         values |= {f"{stage}_ms": f"{ms:.1f}" for stage, ms in last.times_ms.items()}
     return values

@@ -50,8 +50,7 @@ class MapFile:
     def newer(self) -> Localizer | None:
         """Return a localizer if the map is new or has changed; None otherwise.
 
-        Files are replaced whole, so what is there can be read; what cannot is read again only once
-        it has changed.
+        Files are replaced whole. One that cannot be read is tried again once it has changed.
         """
         if not self.path:
             self.fault = (

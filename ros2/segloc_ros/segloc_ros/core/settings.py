@@ -1,4 +1,4 @@
-"""The node's parameters: one field each, with its default, its limits and what it means."""
+"""The node's parameters: one field each, with default, limits and description."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ class Settings(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Settings:
-        if self.odometry == "none" and (self.tells_tf or self.trigger == "periodic"):
+        if self.odometry == "none" and (self.broadcasts_tf or self.trigger == "periodic"):
             raise ValueError("odometry none: mode tf and trigger periodic need one")
         return self
 
@@ -187,18 +187,18 @@ class Settings(Section):
             )
 
     @property
-    def tells_tf(self) -> bool:
+    def broadcasts_tf(self) -> bool:
         """Whether map -> odom is broadcast."""
         return self.mode in ("tf", "both")
 
     @property
-    def tells_initialpose(self) -> bool:
+    def sends_initialpose(self) -> bool:
         """Whether poses go to a tracker."""
         return self.mode in ("initialpose", "both")
 
     @property
     def mount(self) -> Pose | None:
-        """T_base_lidar, (4, 4) float64, where a parameter says it."""
+        """T_base_lidar, (4, 4) float64; None without a parameter."""
         if not self.base_to_lidar:
             return None
         x, y, z, *angles = self.base_to_lidar
@@ -207,21 +207,21 @@ class Settings(Section):
 
     @property
     def merger(self) -> ScanMerger | None:
-        """What merges the clouds of several LiDARs."""
+        """Merges the clouds of several LiDARs; None for one."""
         if not self.more_points_topics:
             return None
         return ScanMerger(self.points_topic, self.more_points_topics, self.points_tolerance_s)
 
     @property
     def smooth(self) -> SmoothTransform | None:
-        """What corrects map -> odom without jumps."""
+        """Corrects map -> odom at a bounded rate; None if off."""
         if not self.smooth_tf:
             return None
         return SmoothTransform(self.smooth_tf_mps, self.smooth_tf_dps, self.smooth_tf_jump_m)
 
     @property
     def keeper(self) -> PoseKeeper | None:
-        """What keeps the pose over a power cycle."""
+        """Stores the pose over a power cycle; None without a file."""
         if not self.pose_file:
             return None
         return PoseKeeper(
@@ -234,7 +234,7 @@ class Settings(Section):
 
     @property
     def live(self) -> LiveConfig:
-        """How the robot is followed."""
+        """Settings of the live localizer."""
         return LiveConfig(
             tracker=TrackerConfig(accumulate=True, every_m=self.query_every_m),
             every_s=self.query_every_s,
