@@ -217,6 +217,7 @@ def test_the_state_for_programs(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of(trigger="until_localized", map="/maps/site.segmap")
     state = robot_state(listener.robot, True)
     assert (state.status, state.reason) == (StateStatus.LOST, "the map is being read")
+    assert diagnose(listener.robot).level is Level.WARN
     listener.robot.use(localizer)
     assert "no cloud yet" in robot_state(listener.robot, True).reason
     on_tf_static(listener.robot)

@@ -409,7 +409,7 @@ class SeglocNode(LifecycleNode):
         return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
-        """Search the robot; return a future that is True if it is found."""
+        """Search for the robot; return a future that is True if it is found."""
         future = Future(executor=self.executor)
         if self.pump is None or self.robot is None or not self._inputs:
             future.set_result(False)

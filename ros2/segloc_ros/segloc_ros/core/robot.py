@@ -34,6 +34,7 @@ from .settings import Settings
 from .still import StillClouds
 from .trigger import Trigger
 
+_READING = "the map is being read"
 _MOST_POSES = 4096
 _NEAR_S = 0.5
 _AT_ONCE = {"every_s": 1e-9, "every_lost_s": 1e-9}
@@ -67,7 +68,7 @@ class Robot:
         The file of the map, why it cannot be read, and why the last one on request was not; "" if
         they were.
     map_progress : str
-        What is being done to a cloud of which the map is built; "" otherwise.
+        Progress of reading or building the map, in words; "" otherwise.
     publishers : int or None
         Of ``points``; None if unknown.
     hint : str
@@ -88,7 +89,7 @@ class Robot:
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
         self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
-        self.map_progress = ""
+        self.map_progress = _READING
         self.publishers: int | None = None
         self.hint = ""
         self._arrived: float | None = None  # when the last cloud came, by a steady clock
@@ -98,7 +99,7 @@ class Robot:
         self._core: LiveCore | None = None
         self.point_times: defaultdict[str, StreamTimes] = defaultdict(StreamTimes)
         self._own = {
-            "map": "the map is being read",
+            "map": _READING,
             "points": f"no cloud yet: {settings.points_topic}",
         }
         self.keeper = settings.keeper
@@ -142,7 +143,7 @@ class Robot:
         """Take a map, the first or another: the pose in the one before is forgotten."""
         self._localizer = localizer
         self._end()
-        self._kept = None
+        self._kept, self.map_progress = None, ""
         self._own.pop("map", None)
 
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:

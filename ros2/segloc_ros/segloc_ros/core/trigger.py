@@ -1,4 +1,4 @@
-"""When to search the robot, and near which prior."""
+"""When to search for the robot, and near which prior."""
 
 from __future__ import annotations
 
