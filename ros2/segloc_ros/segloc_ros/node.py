@@ -147,6 +147,11 @@ class SeglocNode(LifecycleNode):
             raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
 
+    def _end_bond(self) -> None:
+        if self._bond is not None:
+            self._bond.close()
+            self._bond = None
+
     def _grid_port(self, service: str) -> GridPort | None:
         try:
             return GridPort(self, service) if service else None
@@ -231,9 +236,7 @@ class SeglocNode(LifecycleNode):
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
         self._inputs, self._cloud_types = [], {}
-        if self._bond is not None:
-            self._bond.close()
-            self._bond = None
+        self._end_bond()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -260,6 +263,7 @@ class SeglocNode(LifecycleNode):
             self.robot.keeper.flush()
 
     def destroy_node(self) -> None:
+        self._end_bond()
         self._close_pump()
         super().destroy_node()
 
