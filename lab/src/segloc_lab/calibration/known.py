@@ -52,6 +52,8 @@ TOGETHER = (1, 3)
 UNUSED = "inliers_over_rival"
 """Segments are not matched where a pose is known."""
 RIDGE = 2e-4
+LEAST_MISLEADING = 0.002
+"""Share of views of what the worlds lack, as of a truck that stands before the sensor; by hand."""
 SHARES = (1, 5, 50, 95, 99)
 KEPT = Path(__file__).with_name("known-rows.npz")
 """Rows to which the shipped model was fitted."""
@@ -206,7 +208,7 @@ def fitted(views: Views, chosen: Mask) -> Known:
     weights[[0, *(k + 1 for k in used)]] = found[: X.shape[1]]
     return Known(
         weights=tuple(round(float(w), 3) for w in weights),
-        misleading=round(float(0.5 * expit(found[-2])), 5),
+        misleading=round(max(float(0.5 * expit(found[-2])), LEAST_MISLEADING), 5),
         power=round(float(np.exp(found[-1])), 2),
     )
 
