@@ -23,6 +23,7 @@ from segloc.batch.score import (
     distances_to_path,
     pose_errors,
 )
+from segloc.cli import queries
 from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
@@ -76,6 +77,29 @@ def test_distance_to_the_path_is_horizontal() -> None:
     broken = line([0, 10, 20, 90])
     assert distances_to_path(line([55]), broken) == pytest.approx([35.0])
     assert np.isinf(distances_to_path(path, np.empty((0, 4, 4)))).all()
+
+
+def test_a_finished_cloud_covers_what_its_surfaces_surround(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Two walls of 60 m, 15 m apart; viewpoints stand behind them."""
+    walls = [np.arange(0, 60, 0.5), np.zeros(120), np.ones(120)]
+    origin = np.array([500.0, 900.0, 0.0])
+    site = SegmentMap.empty("geo", "f" * 16, 5, origin, cloud_voxel=0.3)
+    site.add_cloud(np.column_stack(walls) + origin)
+    site.add_cloud(np.column_stack(walls) + [0, 15, 0] + origin)
+    site.add_trajectory(np.stack([pose(500 + x, 940) for x in (0, 30, 60)]))
+    at = [(30, 7.5), (30, -2), (30, 25), (75, 0)]
+    truths = np.stack([pose(500 + x, 900 + y) for x, y in at])
+    results = [result(truths[0]), *3 * [result(None)]]
+    site.metadata |= {"source": "cloud", "viewpoints": "lattice"}
+    scored = Evaluation(np.arange(4), results, site, truths)
+    assert scored.distance_to_map == pytest.approx([0, 2, 10, 15], abs=1.0)
+    assert scored.within_coverage.tolist() == [True, True, False, False]
+    for evaluation in (scored, Evaluation(np.arange(2), results[2:], site, truths[2:])):
+        queries._show_summary(evaluation.summary(), "")
+    first, other = capsys.readouterr().out.split("within map coverage")[1:]
+    assert "1 of 2" in first.splitlines()[0] and "none" in other.splitlines()[0]
 
 
 def result(T: np.ndarray | None, reason: str = "ambiguous", ms: float = 10.0) -> Localization:
