@@ -187,3 +187,7 @@ def test_drawing(evaluation: Evaluation) -> None:
     pictures.append(draw(prior_map, evaluation, "a town"))
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert draw(prior_map, evaluation, "a town") == pictures[-1]
+    assert b"trajectory of the map" in pictures[-1] and b"viewpoints" not in pictures[-1]
+    prior_map.metadata["source"] = "cloud"  # chosen viewpoints, which nobody drove between
+    drawn = draw(prior_map, evaluation, "a town")
+    assert b"viewpoints of the map" in drawn and b"trajectory of the map" not in drawn

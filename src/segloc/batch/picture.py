@@ -48,7 +48,8 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
 
     A localized query is a green dot with an arrow for its heading, a false one a red dot connected
     to its true position. One that was not localized is hollow, at its true position if known, with
-    a marker for the reason. The true trajectory is a blue line.
+    a marker for the reason. The true trajectory is a blue line. Viewpoints of a finished cloud are
+    dots.
 
     Returns
     -------
@@ -65,7 +66,10 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.95))
     plan(axes, low, high)
     density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
-    _draw_path(axes, prior_map.trajectory[:, :2, 3], color=PATH, label="trajectory of the map")
+    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
+    _draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
+    if not driven.all():
+        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
     if evaluation.truths is not None:
         style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true trajectory of the queries"}
         _draw_path(axes, evaluation.truths[:, :2, 3], **style)

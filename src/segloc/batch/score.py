@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from .. import geometry
 from ..localization import Localization
 from ..map.segment_map import CLOUD, SOURCE, SegmentMap
-from ..types import Bools, Float64, Int64, Pose
+from ..types import Bools, Float64, Int64
 
 COVERAGE_RADIUS_M = 3.0
 """Maximum distance from the space that the map covers, within map coverage [m]."""
@@ -48,6 +48,8 @@ RECORD = {
     "reason": "null when localized; else a member of `segloc.Reason`, such as `ambiguous`",
     "message": "the reason as a sentence with its figures; empty when localized",
     "T_map_sensor": "4 rows of 4 numbers, or null",
+    "covariance": "6 rows of 6 numbers, or null: covariance of `T_map_sensor`, of a small rotation "
+    "[rad], then a translation [m], both in the sensor's frame",
     "attitude": "source of the query's roll and pitch: `given` (a pose or gravity), `estimated` "
     "(from the scan) or `assumed`",
     "inliers": "distinct query segments that agree with the best pose",
@@ -293,6 +295,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
         "T_map_sensor": _nested(result.T_map_sensor),
+        "covariance": _nested(result.covariance),
         "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
@@ -314,8 +317,8 @@ def _record(result: Localization) -> dict[str, Any]:
     }
 
 
-def _nested(pose: Pose | None) -> list[list[float]] | None:
-    return None if pose is None else np.asarray(pose, dtype=np.float64).tolist()
+def _nested(matrix: Float64 | None) -> list[list[float]] | None:
+    return None if matrix is None else np.asarray(matrix, dtype=np.float64).tolist()
 
 
 def _finite(value: float | None) -> float | None:

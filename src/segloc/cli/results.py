@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
+from ..map.segment_map import CLOUD_FRAME, SegmentMap
 from ..system.files import checked_target, replacing
 from ..system.locks import exclusive
 from ..types import Float64, Int64
@@ -21,7 +22,6 @@ from .console import note, number
 
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
-    from ..map.segment_map import SegmentMap
 
 
 def check_folder(out: Path) -> None:
@@ -48,8 +48,7 @@ def write_results(
     list of str
         Names of the files, and of folders of others.
     """
-    where = Georeference.of(prior_map.metadata)
-    files = {**_contents(evaluation, where), **(more or {})}
+    files = {**_contents(evaluation, prior_map), **(more or {})}
     if title is not None:
         try:
             files |= _pictures(prior_map, evaluation, title)
@@ -75,11 +74,19 @@ def print_json(evaluation: Evaluation) -> None:
     print(json.dumps(found, indent=2, allow_nan=False))
 
 
-def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, bytes]:
+def frame_facts(prior_map: SegmentMap) -> dict[str, Any]:
+    """Return the georeference of a map, and the transform from its cloud, if it has them."""
+    facts: dict[str, Any] = {}
+    if (where := Georeference.of(prior_map.metadata)) is not None:
+        facts[KEY] = json.loads(where.to_text())
+    if CLOUD_FRAME in prior_map.metadata:
+        facts[CLOUD_FRAME] = prior_map.T_map_cloud.tolist()
+    return facts
+
+
+def _contents(evaluation: Evaluation, prior_map: SegmentMap) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
-    found = evaluation.summary()
-    if where is not None:
-        found[KEY] = json.loads(where.to_text())
+    found = evaluation.summary() | frame_facts(prior_map)
     summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
         "poses.tum": _poses(evaluation),

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ..errors import DatasetError
+import numpy as np
+
+from ..errors import DatasetError, InvalidScan
 from ..io import Trajectory, read_trajectory
 from ..io.scans import read_file
 from ..map.georeference import KEY, Georeference
-from ..map.segment_map import SegmentMap
+from ..map.segment_map import CLOUD_FRAME, SegmentMap
+from ..system.checks import checked_pose
+from ..types import Pose
+
+_QUERIES, _STATES = "localizations.jsonl", "states.jsonl"
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,17 @@ class FoundSource:
     track: Trajectory  # T_map_sensor by stamp, or by scan number
     timed: bool  # True if by stamp
     georeference: Georeference | None  # of the map
+    T_map_cloud: Pose  # of the map
+    is_drive: bool  # True if of `segloc live`
     what = "results of `segloc localize` or `segloc live`"
+
+    def found(self) -> Iterator[dict[str, Any]]:
+        """Read the records that have a pose, and the pose as ``T``."""
+        path = self.path / (_STATES if self.is_drive else _QUERIES)
+        key = "T_map_base" if self.is_drive else "T_map_sensor"
+        for record in _records(path):
+            if record.get(key) is not None:
+                yield {**record, "T": _pose(record[key], f"{path}: {key}")}
 
 
 @dataclass(frozen=True)
@@ -56,9 +72,7 @@ class AlignedSource:
 
     def loops(self) -> Iterator[dict[str, Any]]:
         """Read accepted and rejected loops."""
-        path = self.path / "loops.jsonl"
-        for number, line in enumerate(_read(path).splitlines(), 1):
-            yield _parsed(line, f"{path}: line {number}")
+        yield from _records(self.path / "loops.jsonl")
 
 
 Source: TypeAlias = MapSource | FoundSource | AlignedSource
@@ -74,22 +88,32 @@ def open_source(path: Path) -> Source:
         return MapSource(path, SegmentMap.load(path))
     if (path / "alignment.json").is_file():
         return _aligned(path)
-    for kept in ("localizations.jsonl", "states.jsonl"):
+    for kept in (_QUERIES, _STATES):
         if (path / kept).is_file():
             timed = "no times" not in _read(path / "poses.tum")[:300]
             track = read_trajectory(path / "poses.tum")
-            return FoundSource(path, track, timed, _georeference(path))
+            return FoundSource(path, track, timed, *_frame(path), kept == _STATES)
     raise DatasetError(
-        f"{path}: neither a map nor results: no alignment.json, localizations.jsonl or "
-        "states.jsonl in it"
+        f"{path}: neither a map nor results: no alignment.json, {_QUERIES} or {_STATES} in it"
     )
 
 
-def _georeference(path: Path) -> Georeference | None:
-    """Read the georeference that `segloc localize` stored of its map."""
+def _frame(path: Path) -> tuple[Georeference | None, Pose]:
+    """Read the georeference and the transform from the cloud that were stored of the map."""
     file = path / "summary.json"
-    kept = _parsed(_read(file), str(file)).get(KEY) if file.is_file() else None
-    return None if kept is None else Georeference.of({KEY: json.dumps(kept)})
+    facts = _parsed(_read(file), str(file)) if file.is_file() else {}
+    where, T_map_cloud = facts.get(KEY), facts.get(CLOUD_FRAME, np.eye(4))
+    return (
+        None if where is None else Georeference.of({KEY: json.dumps(where)}),
+        _pose(T_map_cloud, f"{file}: {CLOUD_FRAME}"),
+    )
+
+
+def _pose(rows: Any, where: str) -> Pose:
+    try:
+        return checked_pose(np.array(rows, np.float64), where)
+    except (ValueError, TypeError, InvalidScan) as error:
+        raise DatasetError(f"{where}: damaged: {error}") from error
 
 
 def _aligned(path: Path) -> AlignedSource:
@@ -105,6 +129,12 @@ def _aligned(path: Path) -> AlignedSource:
     if sorted(k for members in components for k in members) != list(range(len(names))):
         raise DatasetError(f"{file}: its components do not match its sessions")
     return AlignedSource(path, names, components, (erred[0], erred[1], erred[2]))
+
+
+def _records(path: Path) -> Iterator[dict[str, Any]]:
+    """Read the objects of a file of JSON lines."""
+    for number, line in enumerate(_read(path).splitlines(), 1):
+        yield _parsed(line, f"{path}: line {number}")
 
 
 def _read(path: Path) -> str:

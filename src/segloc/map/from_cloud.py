@@ -34,7 +34,7 @@ from .cloud_frame import (
 )
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .segment_map import CLOUD, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
+from .segment_map import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
 from .viewpoints import (
     AROUND_M,
     SPACING_M,
@@ -281,7 +281,7 @@ def build_from_cloud(
     points : (N, >=3) array of any float dtype, or iterable of such arrays
         In the map's frame [m], whose z axis points up; UTM coordinates as float64. With
         ``config.mapping.level`` the cloud is turned so that z points up, by its floors and walls,
-        and ``metadata["T_map_cloud"]`` holds the transform. Points that are not finite, exactly
+        and ``T_map_cloud`` of the map is the transform. Points that are not finite, exactly
         zero, or more than 100 km from the others are left out.
     config : BuildConfig, optional
         Or a :class:`segloc.Config`, which is one; by default that of the default method.
@@ -387,7 +387,7 @@ def _in_map_frame(
     degrees = math.degrees(geometry.rotation_angle(T_map_cloud))
     text = f"turned by {degrees:.1f} degrees, so that z is up"
     note(f"the cloud is {text}")
-    kept = {"frame": text, "T_map_cloud": json.dumps(T_map_cloud.tolist())}
+    kept = {"frame": text, CLOUD_FRAME: json.dumps(T_map_cloud.tolist())}
     return cloud.moved(T_map_cloud), T_map_cloud, kept
 
 

@@ -5,6 +5,7 @@ Functions below the class derive maps from maps.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MapMismatch, SeglocError
-from ..types import Descriptors, Float32, Float64, Scanned
+from ..errors import InvalidScan, MapFormatError, MapMismatch, SeglocError
+from ..system.checks import checked_pose
+from ..types import Descriptors, Float32, Float64, Pose, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
@@ -43,6 +45,8 @@ VIEWPOINTS, LATTICE = "viewpoints", "lattice"
 space is known."""
 SOURCE, CLOUD = "source", "cloud"
 """Key of the metadata, and its value for maps of one finished cloud."""
+CLOUD_FRAME = "T_map_cloud"
+"""Key of the metadata: transform from the frame of a finished cloud that was levelled."""
 _USED_BY_QUERIES = ("centroids", "quality")
 """Columns that are kept unpacked."""
 
@@ -297,6 +301,23 @@ class SegmentMap:
             return np.ones(len(rotations), dtype=bool)
         turned: NDArray[np.bool_] = (rotations != np.eye(3)).any(axis=(1, 2))
         return turned
+
+    @property
+    def T_map_cloud(self) -> Pose:
+        """Transform from the frame of a finished cloud; the identity unless it was levelled.
+
+        Raises
+        ------
+        MapFormatError
+            If the metadata hold no such transform, as when several clouds were merged.
+        """
+        text = self.metadata.get(CLOUD_FRAME)
+        if text is None:
+            return np.eye(4)
+        try:
+            return checked_pose(np.array(json.loads(text), np.float64), CLOUD_FRAME)
+        except (ValueError, TypeError, RecursionError, InvalidScan) as error:
+            raise MapFormatError(f"metadata: invalid {CLOUD_FRAME}: {text[:80]!r}") from error
 
     @property
     def memory_bytes(self) -> int:
