@@ -14,6 +14,7 @@ from samples.walk import run
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
+from segloc.cli.map_info import show
 from segloc.io import Trajectory, write_tum
 from segloc.map import voxel_cloud
 from segloc.map.from_cloud import ThinCloud
@@ -102,7 +103,7 @@ def test_what_a_wall_hides_is_not_seen_and_the_wall_is_along_all_its_length() ->
     assert not sight.sees(wall + [1.5, 0, 0])[np.abs(y) < 15].any()
 
 
-def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
+def test_a_cloud_without_ground_is_seen_from_a_lattice(capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(-20, 20, (30, 2))
     poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
@@ -110,7 +111,11 @@ def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
     site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, note=notes.append)
     assert len(site) and len(site.trajectory) > 1
     assert not len(site.sensor_positions)
-    assert any("no ground" in note and "--trajectory" in note for note in notes)
+    (told,) = notes
+    assert "no ground: 0.0% of the area" in told and "--trajectory" in told
+    assert f"{len(site.trajectory)} viewpoints lie 8 m apart" in told
+    show(site, "")
+    assert f"{len(site.trajectory)} on a lattice" in capsys.readouterr().out
 
 
 def test_what_is_no_cloud_is_refused() -> None:

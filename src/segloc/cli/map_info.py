@@ -45,6 +45,20 @@ def save_and_show(prior_map: SegmentMap, out: Path, where: Georeference | None) 
     show(prior_map, str(out))
 
 
+def _poses_rows(prior_map: SegmentMap, sessions: str) -> list[tuple[str, str]]:
+    """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""
+    from ..map.segment_map import LATTICE, VIEWPOINTS
+
+    driven = int(prior_map.is_driven.sum())
+    chosen = len(prior_map.trajectory) - driven
+    rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
+    if chosen:
+        lattice = LATTICE in prior_map.metadata.get(VIEWPOINTS, "")
+        where = "on a lattice, since there is no ground" if lattice else "on free ground"
+        rows.append(("viewpoints", f"{chosen} {where}"))
+    return rows
+
+
 def show(prior_map: SegmentMap, title: str) -> None:
     """Print a table of a map's contents."""
     from ..map.georeference import Georeference
@@ -56,7 +70,7 @@ def show(prior_map: SegmentMap, title: str) -> None:
     rows = [
         ("descriptor", f"{facts['descriptor']}, {facts['dim']} numbers ({facts['fingerprint']})"),
         ("segments", f"{facts['segments']}"),
-        ("poses", f"{facts['poses']} in {sessions}"),
+        *_poses_rows(prior_map, sessions),
         ("cloud", f"{facts['cloud_points']} points, one per {facts['cloud_voxel_m']:g} m"),
         ("extent", f"{extent} m"),
         ("in memory", f"{facts['memory_bytes'] / 1e6:.1f} MB"),

@@ -21,6 +21,7 @@ from ..errors import DatasetError
 from ..frontend.gravity import AttitudeConfig
 from ..frontend.segmentation import Segmenter, heights_above_ground
 from ..system.checks import MAX_LOCAL_METRES, checked_poses, point_rows
+from ..system.text import counted
 from ..types import Bools, Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
 from .cloud_frame import (
@@ -319,13 +320,29 @@ def build_from_cloud(
         path = np.asarray(poses[:, :3, 3] - cloud.origin)
         builder.add_views(_from_path(cloud, path, radius, progress))
         return builder.finished(poses)
-    builder.add_views(_from_ground(cloud, sensor_height, radius, progress, note))
+    ground = Ground.of(np.concatenate([tops(c, sensor_height) for c in cloud.columns()]))
+    builder.add_views(_from_ground(cloud, ground, sensor_height, radius, progress))
+    share = len(ground.places) / sum(cells_below(column) for column in cloud.columns())
     if builder.poses:
+        if share < _MIN_GROUND:
+            note(_little_ground(share, len(builder.poses), "stand on it"))
         return builder.finished(np.array(builder.poses))
-    builder.add_views(_from_lattice(cloud, sensor_height, radius))
+    places = _lattice(cloud)
+    kind = f"lie {SPACING_M:g} m apart, also where no sensor can be: space around them is unknown"
+    note(_little_ground(share, len(places), kind))
+    builder.add_views(_from_lattice(cloud, places, sensor_height, radius))
     found = builder.finished(np.array(builder.poses))
     found.metadata[VIEWPOINTS] = LATTICE
     return found
+
+
+def _little_ground(share: float, count: int, kind: str) -> str:
+    """Describe how many viewpoints of which kind there are without ground, and the remedy."""
+    viewpoints = counted(count, "viewpoints")
+    return (
+        f"no ground: {share:.1%} of the area is free ground; {viewpoints} {kind}. "
+        "--trajectory with the poses that the cloud was measured from finds more"
+    )
 
 
 def _silent(_: str) -> None:
@@ -462,16 +479,13 @@ def _from_path(
 
 
 def _from_ground(
-    cloud: ThinCloud, sensor_height: float, radius: float, progress: Progress | None, note: Note
+    cloud: ThinCloud,
+    ground: Ground,
+    sensor_height: float,
+    radius: float,
+    progress: Progress | None,
 ) -> Iterator[Seen]:
     """Viewpoints on free ground, until all of it is covered."""
-    ground = Ground.of(np.concatenate([tops(c, sensor_height) for c in cloud.columns()]))
-    area = sum(cells_below(column) for column in cloud.columns())
-    if (share := len(ground.places) / area) < _MIN_GROUND:
-        note(
-            f"no ground: {share:.1%} of the area is free ground, so viewpoints are guesses; with "
-            "--trajectory they are the poses that the cloud was measured from"
-        )
     uncovered = Uncovered(ground, sensor_height)
     total = uncovered.left
     while (place := uncovered.next()) is not None:
@@ -485,9 +499,17 @@ def _from_ground(
             progress(total - uncovered.left, total)
 
 
-def _from_lattice(cloud: ThinCloud, sensor_height: float, radius: float) -> Iterator[Seen]:
-    """Viewpoints over the lowest points of each square."""
+def _lattice(cloud: ThinCloud) -> Float64:
+    """Return the middle of each square of a lattice with points, (V, 2)."""
     cells = [np.unique(np.floor(c[:, :2] / SPACING_M), axis=0) for c in cloud.columns()]
-    for xy in (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M:
+    middles: Float64 = (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M
+    return middles
+
+
+def _from_lattice(
+    cloud: ThinCloud, places: Float64, sensor_height: float, radius: float
+) -> Iterator[Seen]:
+    """Viewpoints over the lowest points of each square of the lattice."""
+    for xy in places:
         low = np.percentile(cloud.near(xy, SPACING_M)[:, 2], _LOW_PERCENT)
         yield cloud.seen_from(np.append(xy, low + sensor_height), radius)
