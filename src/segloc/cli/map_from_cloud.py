@@ -16,7 +16,7 @@ def from_cloud(
     clouds: Annotated[
         list[Path],
         typer.Argument(
-            metavar="CLOUD...",
+            metavar="CLOUD",
             help="PCD, PLY, LAS, LAZ, E57 or XYZ files, or folders of these.",
         ),
     ],
