@@ -287,6 +287,22 @@ def test_poses_found_are_points_with_what_is_known_of_them(tmp_path: Path) -> No
     assert back[0] == pytest.approx(found.T_map_sensor[:3, 3], abs=2e-3)
 
 
+def test_a_drive_is_a_line_and_its_poses(tmp_path: Path) -> None:
+    found = results(tmp_path / "drive", True)
+    T = turned(3.0, 0.1, 0.0)
+    states = [{"index": 0}, {"index": 1, "stamp": 2.0, "T_map_base": T.tolist()}]
+    (found / "states.jsonl").write_text("".join(json.dumps(state) + "\n" for state in states))
+    export(found, "geojson", tmp_path / "a.geojson")
+    line, point = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert line["geometry"]["type"] == "MultiLineString" and line["properties"]["poses"] == 4
+    assert point["geometry"]["coordinates"] == [3.0, 1.5, 0.1]
+    assert point["properties"]["index"] == 1 and point["properties"]["covariance"] is None
+    for damaged in ([[1, 2]], "text", np.zeros((4, 4)).tolist()):
+        (found / "states.jsonl").write_text(json.dumps({"T_map_base": damaged}))
+        with pytest.raises(DatasetError, match=r"states\.jsonl: T_map_base: damaged"):
+            export(found, "geojson", tmp_path / "a.geojson")
+
+
 def test_poses_in_a_levelled_cloud_are_brought_into_its_own_frame(tmp_path: Path) -> None:
     prior_map, T_map_cloud = SegmentMap.empty("geo", "f" * 16, 5), turned(4.0, 0.3, 0.2)
     prior_map.metadata["T_map_cloud"] = json.dumps(T_map_cloud.tolist())

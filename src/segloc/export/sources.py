@@ -16,7 +16,7 @@ from ..io.scans import read_file
 from ..map.georeference import KEY, Georeference
 from ..map.segment_map import CLOUD_FRAME, SegmentMap
 from ..system.checks import checked_pose
-from ..types import Pose
+from ..types import Float64, Pose
 
 _QUERIES, _STATES = "localizations.jsonl", "states.jsonl"
 
@@ -43,12 +43,15 @@ class FoundSource:
     what = "results of `segloc localize` or `segloc live`"
 
     def found(self) -> Iterator[dict[str, Any]]:
-        """Read the records that have a pose, and the pose as ``T``."""
+        """Read the records that have a pose: the pose as ``T``, the covariance as an array."""
         path = self.path / (_STATES if self.is_drive else _QUERIES)
         key = "T_map_base" if self.is_drive else "T_map_sensor"
         for record in _records(path):
             if record.get(key) is not None:
-                yield {**record, "T": _pose(record[key], f"{path}: {key}")}
+                T, covariance = _pose(record[key], f"{path}: {key}"), record.get("covariance")
+                if covariance is not None:
+                    covariance = _matrix(covariance, 6, f"{path}: covariance")
+                yield {**record, "T": T, "covariance": covariance}
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,15 @@ def _frame(path: Path) -> tuple[Georeference | None, Pose]:
 
 def _pose(rows: Any, where: str) -> Pose:
     try:
-        return checked_pose(np.array(rows, np.float64), where)
-    except (ValueError, TypeError, InvalidScan) as error:
+        return checked_pose(_matrix(rows, 4, where), where)
+    except InvalidScan as error:
+        raise DatasetError(f"{where}: damaged: {error}") from error
+
+
+def _matrix(rows: Any, size: int, where: str) -> Float64:
+    try:
+        return np.array(rows, np.float64).reshape(size, size)
+    except (ValueError, TypeError) as error:
         raise DatasetError(f"{where}: damaged: {error}") from error
 
 

@@ -196,9 +196,8 @@ def _lines(name: str, poses: Float64, axes: _Axes) -> dict[str, Any]:
 
 def _point(name: str, found: dict[str, Any], T: Pose, axes: _Axes) -> dict[str, Any]:
     """Return the feature of a pose found, with the covariance of ROS."""
-    covariance, stamp = found.get("covariance"), found.get("stamp")
+    covariance, stamp = found["covariance"], found.get("stamp")
     if covariance is not None:
-        covariance = np.array(covariance, np.float64).reshape(6, 6)
         covariance = [[float(f"{v:.4g}") for v in row] for row in ros_covariance(covariance, T)]
     return _feature(
         "Point",
@@ -213,9 +212,9 @@ def _point(name: str, found: dict[str, Any], T: Pose, axes: _Axes) -> dict[str, 
     )
 
 
-def _utc(stamp: float | None) -> str | None:
+def _utc(stamp: Any) -> str | None:
     """Return the time of a stamp in ISO 8601; None if it does not count from 1970."""
-    if stamp is None or not _UNIX_S[0] <= stamp < _UNIX_S[1]:
+    if not isinstance(stamp, float) or not _UNIX_S[0] <= stamp < _UNIX_S[1]:
         return None
     return datetime.fromtimestamp(stamp, timezone.utc).isoformat(timespec="milliseconds")
 
