@@ -62,7 +62,7 @@ def from_cloud(
     coordinates are kept. Files of a folder are sorted by name, 2 before 10.
     """
     from ..io import read_trajectory
-    from ..io.clouds import cloud_files, count_points, read_cloud
+    from ..io.clouds import WHOLE, cloud_files, count_points, read_cloud
     from ..map.from_cloud import build_from_cloud, expected_work
     from ..system.files import checked_target
     from .map_info import save_and_show
@@ -74,8 +74,10 @@ def from_cloud(
     path = None if trajectory is None else read_trajectory(trajectory).poses
     placed = None if poses is None else read_trajectory(poses).poses
     files = cloud_files(clouds)
-    points = sum(map(count_points, files))
-    if work := expected_work(points):
+    counts = {file: count_points(file) for file in files}
+    points = sum(counts.values())
+    at_once = max((n for file, n in counts.items() if file.suffix.lower() in WHOLE), default=0)
+    if work := expected_work(points, at_once):
         told = counted(len(files), "files")
         note(f"{points / 1e6:.1f} million points in {told} by their headers: {work}")
     with progress("Reading and mapping the cloud") as update:

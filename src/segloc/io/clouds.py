@@ -28,6 +28,8 @@ SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
 """Of files that hold nothing but clouds; these are read of a folder."""
 GLIM = "points_compact.bin"
 """The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
+WHOLE = (".e57", ".npy")
+"""Of files that are read whole, 24 bytes a point."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
 
 Paths = str | Path | Sequence[str | Path]

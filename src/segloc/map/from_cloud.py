@@ -63,7 +63,7 @@ _MIN_CHECKED = 1000  # points of which unit and steps can be told
 _MAX_FAR = 0.01  # share of the points that may be strays
 _MIN_GROUND = 0.05  # free ground, as a share of the area
 _S_PER_VOXEL, _BYTES_PER_VOXEL, _BYTES = 18e-6, 200, 1e8  # of one core and of the memory
-_S_PER_POINT = 1.5e-6  # to read and to thin
+_S_PER_POINT, _BYTES_PER_POINT = 1.5e-6, 24  # to read and to thin; of a file read whole
 _POINTS_PER_VOXEL = 15  # of raw scans: 100.9 million points of streets took 4.6 minutes, 1.0 GiB
 _LONG_S = 20.0
 
@@ -74,24 +74,30 @@ Seen = tuple[Float64, Float32]
 """A viewpoint, (3,), and the points that are visible from it, (N, 3)."""
 
 
-def expected_work(num_points: int) -> str:
+def expected_work(num_points: int, at_once: int = 0) -> str:
     """Describe time and memory to map a cloud that is not read yet; empty if it takes seconds.
 
-    The work depends on the voxels that the points fill: about one of 15 points of raw scans, and
-    one a point of a thinned cloud.
+    The work depends on the voxels that the points fill: about one per 15 points of raw scans, and
+    one per point of a thinned cloud.
+
+    Parameters
+    ----------
+    num_points, at_once : int
+        Points in all, and of the largest file that is read whole.
     """
     if (_S_PER_POINT + _S_PER_VOXEL) * num_points < _LONG_S:
         return ""
     raw, thinned = (
-        _work(num_points // each, _S_PER_POINT * num_points) for each in (_POINTS_PER_VOXEL, 1)
+        _work(num_points // each, _S_PER_POINT * num_points, _BYTES_PER_POINT * at_once)
+        for each in (_POINTS_PER_VOXEL, 1)
     )
     return f"about {raw} if they are raw scans, {thinned} if they are thinned to {VOXEL_M} m"
 
 
-def _work(voxels: int, seconds: float = 0.0) -> str:
-    """Describe time and memory to map some voxels, after the seconds of reading."""
-    minutes = (seconds + _S_PER_VOXEL * voxels) / 60
-    gigabytes = (_BYTES + _BYTES_PER_VOXEL * voxels) / 1e9
+def _work(voxels: int, read_s: float = 0.0, read_bytes: float = 0.0) -> str:
+    """Describe time and memory to map some voxels, with those of reading."""
+    minutes = (read_s + _S_PER_VOXEL * voxels) / 60
+    gigabytes = (_BYTES + read_bytes + _BYTES_PER_VOXEL * voxels) / 1e9
     return f"{minutes:.1f} minutes of processor time and {gigabytes:.1f} GB of memory"
 
 
