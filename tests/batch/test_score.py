@@ -20,6 +20,7 @@ from segloc.batch.score import (
     SUMMARY,
     Evaluation,
     Tolerance,
+    distances_to_map,
     distances_to_path,
     pose_errors,
 )
@@ -96,6 +97,13 @@ def test_a_finished_cloud_covers_what_its_surfaces_surround(
     scored = Evaluation(np.arange(4), results, site, truths)
     assert scored.distance_to_map == pytest.approx([0, 2, 10, 15], abs=1.0)
     assert scored.within_coverage.tolist() == [True, True, False, False]
+    coarse = SegmentMap.empty("geo", "f" * 16, 2, origin)
+    corners = origin + np.array([[x, y, 1.0] for x in range(0, 60, 10) for y in (0, 15)])
+    segments = Descriptors(np.ones((len(corners), 2), np.float32))
+    sizes = np.ones(len(corners), np.int64)
+    coarse.add(segments, corners, sizes, session=0, stamp=0.0, cloud=np.empty((0, 3)))
+    coarse.metadata["source"] = "cloud"
+    assert distances_to_map(truths, coarse)[:3] == pytest.approx([0, 2, 10], abs=1.0)
     for evaluation in (scored, Evaluation(np.arange(2), results[2:], site, truths[2:])):
         queries._show_summary(evaluation.summary(), "")
     first, other = capsys.readouterr().out.split("within map coverage")[1:]

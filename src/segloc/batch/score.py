@@ -144,8 +144,8 @@ def distances_to_path(poses: Float64, path: Float64) -> Float64:
 def distances_to_map(poses: Float64, prior_map: SegmentMap) -> Float64:
     """Return the horizontal distance of each pose from the space that a map covers.
 
-    That is its trajectory; of a finished cloud, its surfaces and the gaps between them that are at
-    most ``SURROUNDED_M`` wide.
+    That is its trajectory; of a finished cloud, its surfaces (in tiles, whose common map has no
+    cloud, its segments) and the gaps between them that are at most ``SURROUNDED_M`` wide.
 
     Parameters
     ----------
@@ -157,9 +157,10 @@ def distances_to_map(poses: Float64, prior_map: SegmentMap) -> Float64:
     (N,) float64
         Metres.
     """
-    if CLOUD not in prior_map.metadata.get(SOURCE, "") or not len(prior_map.cloud):
+    points = prior_map.cloud if len(prior_map.cloud) else prior_map.centroids - prior_map.origin
+    if CLOUD not in prior_map.metadata.get(SOURCE, "") or not len(points):
         return distances_to_path(poses, prior_map.trajectory)
-    places = _surrounded(prior_map.cloud[:, :2].astype(np.float64)) + prior_map.origin[:2]
+    places = _surrounded(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
     distances, _ = cKDTree(places).query(poses[:, :2, 3])
     return np.asarray(distances, dtype=np.float64)
 
