@@ -17,7 +17,8 @@ TESTED ?= test
 help: ## List the targets.
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "  make %-18s %s\n", $$1, $$2}'
 
-demo: $(VENV)/.report ## Map the sample drive, localize another day and another place, report (1 min).
+# What `pip install` has put into the environment is used as it is, and not compiled again.
+demo: $(if $(wildcard $(BIN)/segloc),,$(VENV)/.report) ## Map the sample drive, localize another day and another place, report (1 min).
 	$(BIN)/segloc demo --out demo
 
 evaluate: $(VENV)/.evaluate ## Run the paper's studies: SCALE=small, full or paper (hours).

@@ -16,7 +16,7 @@ from segloc.cli.demo import demo
 
 KEPT = {"trajectory.png": "demo.png", "errors.png": "demo_errors.png"}
 KEY = "Description"
-COLOURS = 128
+COLOURS, METHOD = 128, Image.Quantize.MAXCOVERAGE  # keeps the colours of few points
 
 
 def keep(results: Path, out: Path) -> None:
@@ -26,7 +26,7 @@ def keep(results: Path, out: Path) -> None:
             info = PngInfo()
             if KEY in image.info:
                 info.add_text(KEY, image.info[KEY])
-            few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+            few = image.convert("RGB").quantize(COLOURS, METHOD, dither=Image.Dither.NONE)
             few.save(out / name, optimize=True, pnginfo=info)
 
 

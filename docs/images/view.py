@@ -15,7 +15,7 @@ from PIL import Image
 from samples.browser import Page, browser
 
 from segloc import Config, Localizer, build_map, sample
-from segloc.cli.queries import sentence
+from segloc.batch.report import sentence
 from segloc.cli.sample import TUESDAY_STEP
 from segloc.frontend.local_cloud import Accumulator
 from segloc.inspect import trace, viewer

@@ -18,7 +18,7 @@ setup(
     install_requires=["setuptools", "segloc", "segloc_ros"],
     zip_safe=True,
     maintainer="The segloc authors",
-    description="Global LiDAR localization in a prior map: the service that Autoware asks.",
+    description="Global LiDAR localization in a prior map: Autoware's alignment service.",
     license="MIT",
     url="https://github.com/OWNER/segloc",
     extras_require={"test": ["pytest"]},

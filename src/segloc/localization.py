@@ -72,7 +72,7 @@ class Reason(Explained):
         "no consistent matches",
         "no segments are arranged as in the map: the place is not in the map, or the scan sees too "
         "little",
-        "accumulate scans (`--odometry --every 5`)",
+        "accumulate scans of a recording by its poses or odometry",
     )
     AMBIGUOUS = (
         "ambiguous",
@@ -82,7 +82,7 @@ class Reason(Explained):
     TOO_LITTLE_IN_VIEW = (
         "too little in view",
         "a wall or a piece of corridor: nothing fixes the position along it",
-        "turn or drive on, or accumulate scans (`--odometry --every 5`)",
+        "turn or drive on, or accumulate scans of a recording by its poses or odometry",
     )
     NOT_IN_MAP = (
         "not in the map",

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +32,7 @@ QueryCallback = Callable[[Query, Search, Localization], None]
 
 _MIN_PROBABILITY = 1e-300
 _WEAK = 1.5
-"""Evidence of a view for the track below which the map is searched at once."""
+"""Evidence of a view for the track, below which the map is searched at once."""
 _MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
 """Most hypotheses that a view is compared at, and their least probability."""
 
@@ -246,39 +247,50 @@ class Tracker:
         ``deadline_ms`` bounds each search as in :meth:`Localizer.localize`; ``callback`` receives
         its result.
         """
-        newest, gather = request.newest, self.localizer.accumulator.gather
-
-        def searched(scans: Scans | LocalCloud) -> tuple[View, Search]:
-            times = StageTimes(self.localizer.clock)
-            query = self.localizer.describe(scans, times)
-            known = _known(request, query.cloud)
-            found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
-            if callback is not None:
-                callback(query, found, result)
-            return _filled(request.view, found.posterior, query.cloud, searched=True), found
-
-        if newest is None:
-            return searched(request.scans)[0]
+        search = partial(self._search, request, deadline_ms, callback)
+        newest = request.newest
         if request.search and not request.settled:
-            view, found = searched(request.scans)
+            view, found = search(request.scans)
             if found.reason is None or newest is request.scans or not request.hypotheses:
                 return view
-            alone, found = searched(newest)  # the last stretch may hold two places
-            return alone if found.reason is None else view
+            alone = None if newest is None else search(newest)
+            # The last stretch may hold two places.
+            return view if alone is None or alone[1].reason is not None else alone[0]
+        if newest is None:
+            return search(request.scans)[0]
         if not request.search:
-            cloud = gather(newest) if isinstance(newest, Scan) else newest
-            posterior = self.localizer.compare(cloud, _known(request, cloud))
-            view = _filled(request.view, posterior, cloud)
-            if not self._doubts(view, request.hypotheses[0]):
+            view = self._compare(request, newest)
+            if not (request.settled and self._is_weak(view, request.hypotheses[0])):
                 return view
-        return searched(newest)[0]
+        return search(newest)[0]
 
-    def _doubts(self, view: View, T_map_odom: Pose) -> bool:
-        """Return whether a view speaks against a hypothesis, or shows nothing of it."""
-        apart, T = self.localizer.likelihood.separation.apart, view.T_odom_sensor
+    def _search(
+        self,
+        request: QueryRequest,
+        deadline_ms: float | None,
+        callback: QueryCallback | None,
+        scans: Scans | LocalCloud,
+    ) -> tuple[View, Search]:
+        """Search the map, the hypotheses among the places."""
+        times = StageTimes(self.localizer.clock)
+        query = self.localizer.describe(scans, times)
+        known = _known(request, query.cloud)
+        found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
+        if callback is not None:
+            callback(query, found, result)
+        return _filled(request.view, found.posterior, query.cloud, searched=True), found
+
+    def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> View:
+        """Compare the newest scan at the hypotheses alone."""
+        cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
+        posterior = self.localizer.compare(cloud, _known(request, cloud))
+        return _filled(request.view, posterior, cloud)
+
+    def _is_weak(self, view: View, T_map_odom: Pose) -> bool:
+        """Return whether a view says little for a hypothesis, or speaks against it."""
+        apart, T = self.localizer.config.pose.separation.apart, view.T_odom_sensor
         here = (p for p in view.places if not apart(p.T_map_odom @ T, T_map_odom @ T))
-        seen = next(here, None)
-        return seen is not None and seen.evidence < _WEAK
+        return any(seen.evidence < _WEAK for seen in here)
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Update the hypotheses by a view, the last third of :meth:`update`."""

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from segloc.batch.picture import draw
+from segloc.batch.picture import draw, draw_errors
+from segloc.batch.report import summary_rows
 from segloc.batch.run import query_positions
 from segloc.batch.score import (
     RECORD,
@@ -24,7 +25,7 @@ from segloc.batch.score import (
     distances_to_path,
     pose_errors,
 )
-from segloc.cli import queries
+from segloc.inspect.pictures import blank, coordinates, plan, scale
 from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.types import Descriptors
@@ -80,9 +81,7 @@ def test_distance_to_the_path_is_horizontal() -> None:
     assert np.isinf(distances_to_path(path, np.empty((0, 4, 4)))).all()
 
 
-def test_a_finished_cloud_covers_what_its_surfaces_surround(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_finished_cloud_covers_what_its_surfaces_surround() -> None:
     """Two walls of 60 m, 15 m apart; viewpoints stand behind them."""
     walls = [np.arange(0, 60, 0.5), np.zeros(120), np.ones(120)]
     origin = np.array([500.0, 900.0, 0.0])
@@ -104,10 +103,9 @@ def test_a_finished_cloud_covers_what_its_surfaces_surround(
     coarse.add(segments, corners, sizes, session=0, stamp=0.0, cloud=np.empty((0, 3)))
     coarse.metadata["source"] = "cloud"
     assert distances_to_map(truths, coarse)[:3] == pytest.approx([0, 2, 10], abs=1.0)
-    for evaluation in (scored, Evaluation(np.arange(2), results[2:], site, truths[2:])):
-        queries._show_summary(evaluation.summary(), "")
-    first, other = capsys.readouterr().out.split("within map coverage")[1:]
-    assert "1 of 2" in first.splitlines()[0] and "none" in other.splitlines()[0]
+    far = Evaluation(np.arange(2), results[2:], site, truths[2:])
+    assert ("correct, of those within map coverage", "1 of 2") in summary_rows(scored.summary())
+    assert ("within map coverage", "none") in summary_rows(far.summary())
 
 
 def result(T: np.ndarray | None, reason: str = "ambiguous", ms: float = 10.0) -> Localization:
@@ -199,3 +197,18 @@ def test_drawing(evaluation: Evaluation) -> None:
     prior_map.metadata["source"] = "cloud"  # chosen viewpoints, which nobody drove between
     drawn = draw(prior_map, evaluation, "a town")
     assert b"viewpoints of the map" in drawn and b"trajectory of the map" not in drawn
+    assert draw_errors(prior_map, evaluation, "a town").startswith(b"\x89PNG")
+
+
+def test_ground_plans_have_round_coordinates_and_a_bar_as_long_as_a_cell() -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'report'")
+    axes = blank((8.0, 4.0), 100).add_subplot()
+    plan(axes, (691_600.0, 5_336_000.0), (691_800.0, 5_336_100.0))
+    coordinates(axes)
+    scale(axes)
+    ticks = axes.get_xticks()
+    assert (np.diff(ticks) == 20.0).all() and (ticks % 20.0 == 0.0).all()
+    axes.figure.canvas.draw()
+    assert "691660" in {label.get_text() for label in axes.get_xticklabels()}
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x, m", "y, m")
+    assert [text.get_text() for text in axes.texts] == ["20 m"]

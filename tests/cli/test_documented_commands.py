@@ -10,6 +10,8 @@ import functools
 import json
 import re
 import shlex
+import shutil
+import subprocess
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -213,6 +215,22 @@ def test_what_is_to_be_installed_or_made_exists() -> None:
         found += [f"no extra {name!r}" for name in named if name not in {*known, "and"}]
         wrong += [f"{place}: {fault}" for fault in found]
     assert not wrong, "\n".join(wrong)
+
+
+def test_make_demo_does_not_compile_what_pip_has_installed(tmp_path: Path) -> None:
+    if shutil.which("make") is None:
+        pytest.skip("no make here")
+    planned = ["make", "--dry-run", "demo", f"VENV={tmp_path}"]
+
+    def plan() -> str:
+        return subprocess.run(
+            planned, cwd=PROJECT, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert "pip install" in plan()
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "segloc").touch()
+    assert plan().splitlines() == [f"{tmp_path}/bin/segloc demo --out demo"]
 
 
 def test_a_missing_package_is_named_as_its_extra_declares_it() -> None:

@@ -29,8 +29,10 @@ from segloc.datasets import open_sequence
 from segloc.datasets.signature import signature
 from segloc.doctor import (
     Fault,
+    Finding,
     body_findings,
     examine,
+    faulty_points,
     first_fault,
     hint,
     pose_findings,
@@ -323,14 +325,19 @@ def test_verbs_say_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[s
     good, bad = written(tmp_path / "good"), written(tmp_path / "bad", poses=np.linalg.inv)
     down = written(tmp_path / "down", points=POINTS["z down"][0])
     site, poses = tmp_path / "site.segmap", ["--poses", "poses.tum"]
-    assert run("doctor", good, *poses) == 0
-    assert "no problems found" in capsys.readouterr().out
-    for folder, expected in [
-        (bad, "problem: the poses are inverse"),
-        (down, "problem: the ground lies"),
+    page = tmp_path / "page.html"
+    assert run("doctor", good, *poses, "--html", page) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "no problems found"
+    assert page.read_text("utf-8").count("data:image/png;base64,") == 1
+    for folder, expected, shown in [
+        (bad, "problem: the poses are inverse", "red points lie off scan "),
+        (down, "problem: the ground lies", "red points show it"),
     ]:
-        assert run("doctor", folder, *poses) == 1
+        assert run("doctor", folder, *poses, "--html", page) == 1
         assert capsys.readouterr().out.splitlines()[1].startswith(expected)
+        text = page.read_text("utf-8")
+        assert '<p class="bad">1 problem</p>' in text and shown in text
+        assert expected.removeprefix("problem: ") in text and "://" not in text
         assert run("map", "build", folder, *poses, "--out", site) == 1
         error = capsys.readouterr().err
         assert expected.removeprefix("problem: ") in error and "--unchecked" in error
@@ -426,6 +433,20 @@ def test_one_wall_is_a_single_plane() -> None:
     assert finding.fault is Fault.SINGLE_PLANE and finding.wrong
     corner = np.concatenate([WALL, patch((-4, 2), (-4, -4), (-1.2, 1.8))])
     assert Fault.SINGLE_PLANE not in [each.fault for each in scan_findings([Scan(corner)])]
+
+
+def test_the_points_that_show_a_fault_are_marked(plaza: Plaza) -> None:
+    upright = plaza.scan(geometry.yaw_transform(0.3, (0.0, 0.0, 1.7)), posed=False).points
+    down = Scan(upright * np.float32([1, -1, -1]))
+    (finding,) = scan_findings([down])
+    marked = faulty_points(finding, down, LocalCloudConfig())
+    assert finding.fault is Fault.Z_DOWN and marked.sum() > 1000
+    assert np.abs(down.points[marked, 2] - 1.7).max() < 0.8  # the ground
+    box = ((-3.0, -2.0, -2.0), (3.0, 2.0, 2.0))
+    body = Finding(Fault.BODY_IN_VIEW, "some", wrong=False, box=box)
+    inside = faulty_points(body, down, LocalCloudConfig())
+    assert np.array_equal(inside, (np.abs(down.points) <= [3.0, 2.0, 2.0]).all(axis=1))
+    assert not faulty_points(Finding(Fault.NO_POSES, "none"), down, LocalCloudConfig()).any()
 
 
 def test_gravity_that_the_ground_contradicts_is_named() -> None:

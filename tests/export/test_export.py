@@ -256,7 +256,7 @@ def found_in(folder: Path, prior_map: SegmentMap, stamp: float) -> Localized:
     found = Localized(T_map_sensor=T, covariance=covariance, confidence=0.99, stamp=stamp)
     lost = NotLocalized(reason=Reason("ambiguous"), message="so", stamp=stamp + 1.0)
     scored = Evaluation(np.array([7, 9]), [found, lost], prior_map)
-    write_results(folder, prior_map, scored, None)
+    write_results(folder, prior_map, scored, {})
     return found
 
 

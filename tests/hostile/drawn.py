@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from samples.plaza import Plaza, PlazaSequence
-from samples.ros_drive import cloud_of
+from samples.ros_drive import cloud_of, livox_of
 
 from segloc.types import Float64, Pose
 
@@ -196,8 +196,18 @@ def messages(draw: Draw) -> Iterator[methodcaller]:
         elif what == 10:
             yield methodcaller("on_fix", _fix(draw))
             yield methodcaller("quiet", float(draw.below(100)))
+        elif draw.below(2):
+            yield methodcaller("on_livox", _livox(draw, frame, stamp))
         else:
-            yield methodcaller("relocalize")
+            yield methodcaller(draw.of(("relocalize", "request_update")))
+
+
+def _livox(draw: Draw, frame: str, stamp: float) -> bytes:
+    """A CustomMsg of Livox in CDR, perhaps cut off or with other bytes in it."""
+    data = bytearray(livox_of(draw.numbers(4, 3).astype(np.float32), stamp, frame))
+    for _ in range(draw.below(4)):
+        data[draw.below(64) % len(data)] = draw.below(256)
+    return bytes(data[: len(data) - draw.below(8) * draw.below(8)])
 
 
 def _fix(draw: Draw) -> Any:

@@ -101,7 +101,7 @@ def read_layout(path: Path) -> str:
 def heard_by_node(path: Path) -> str:
     """The messages that a file stands for: each is refused in a line, or its replies are finite."""
     from segloc_ros.core import Robot, Settings
-    from segloc_ros.core.diagnosis import diagnose
+    from segloc_ros.core.diagnosis import diagnose, robot_state
 
     from hostile.drawn import Draw, messages
     from segloc.errors import SeglocError
@@ -115,6 +115,7 @@ def heard_by_node(path: Path) -> str:
         "query_every_m": draw.of((0.0, 5.0)),
         "deadline_ms": 20.0,
         "smooth_tf": draw.below(2) == 0,
+        "tf_when_lost": draw.of(("drop", "keep")),
     }
     robot = Robot(Settings.of(values))
     robot.use(_localizer())
@@ -130,6 +131,7 @@ def heard_by_node(path: Path) -> str:
         for reply in replies:
             _check_finite(reply)
         assert all(isinstance(text, str) for text in diagnose(robot).values.values())
+        assert 0.0 <= robot_state(robot, True).confidence <= 1.0
     return f"{refused} messages refused, found {robot.fixes} times"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -112,6 +113,11 @@ def test_views_are_added_in_order() -> None:
     assert prior_map.quality is None and make_map(1, quality=True).quality is not None
     info = prior_map.info()
     assert (info["segments"], info["poses"], info["sessions"]) == (15, 3, 1)
+    assert info == json.loads(json.dumps(info))
+    lines = str(info).splitlines()
+    assert lines[1:3] == ["segments    15", "poses       3 in 1 session"] and lines[4].endswith(
+        " m"
+    )
 
 
 def test_a_view_without_segments_still_adds_its_cloud() -> None:

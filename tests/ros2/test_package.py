@@ -9,6 +9,7 @@ import pytest
 import yaml
 from samples import source
 from samples.source import PROJECT
+from segloc_ros.core.diagnosis import StateStatus, TfState
 from segloc_ros.core.settings import Settings
 
 from segloc import ConfigError
@@ -35,6 +36,13 @@ def test_the_parameters_file_holds_every_default() -> None:
     for other in (ROS2 / "segloc_ros" / "config").glob("*.yaml"):
         values = yaml.safe_load(other.read_text("utf-8"))["/**"]["ros__parameters"]
         Settings.of(values)
+
+
+def test_the_message_of_the_state_has_the_constants_of_the_core() -> None:
+    text = (ROS2 / "segloc_msgs" / "msg" / "State.msg").read_text("utf-8")
+    constants = {name: int(value) for name, value in re.findall(r"^uint8 (\w+)=(\d)", text, re.M)}
+    expected = {status.name: status.value for status in StateStatus}
+    assert constants == expected | {f"TF_{each.name}": each.value for each in TfState}
 
 
 def test_packages_have_the_version_of_the_product() -> None:

@@ -19,15 +19,18 @@ from segloc_ros.core.maps import MapFile
 from segloc_ros.core.pump import Pump
 
 from segloc import Localizer, geometry
+from segloc.io import write_scan
 
 WAIT_S = 60.0
 
 
 @contextmanager
-def pumping(path: str, **parameters: Any) -> Iterator[Pump]:
+def pumping(path: str, notes: list[str] | None = None, **parameters: Any) -> Iterator[Pump]:
+    notes = [] if notes is None else notes
     robot = Robot(Settings.of({"trigger": "periodic", "query_every_m": 4.0, **parameters}))
     on_tf_static(robot)
-    pump = Pump(robot, MapFile(path, 1), lambda replies: None, lambda localizer: None, watch_s=0.05)
+    maps = MapFile(path, 1, notes.append)
+    pump = Pump(robot, maps, lambda replies: None, lambda localizer: None, watch_s=0.05)
     try:
         yield pump
     finally:
@@ -107,3 +110,47 @@ def test_a_damaged_map_is_reported_and_the_one_in_use_stays(
         pump.load(str(tmp_path / "other.segmap"), None, faults.append)
         told = until(pump, lambda told: "other.segmap" in told.values["map fault"])
         assert told.values["map"] == str(path) and "other.segmap" in faults[0]
+
+
+def test_a_cloud_becomes_the_map_and_is_read_from_its_cache_until_it_changes(
+    plaza: Plaza, tmp_path: Path
+) -> None:
+    """A file at start and a changed one meanwhile, with progress; a damaged cache; a folder."""
+    site, points, notes = tmp_path / "site.pcd", plaza.points[::3], list[str]()
+    write_scan(site, points)
+    seen: set[str] = set()
+
+    def is_read(told: Diagnosis) -> bool:
+        seen.add(f"{told.level.name} {told.message}")
+        return told.message.startswith("no cloud yet")
+
+    with pumping(str(site), notes) as pump:
+        until(pump, is_read)
+        assert any(message.startswith("WARN building the map of site.pcd") for message in seen)
+        (cache,) = tmp_path.glob("site.pcd.*.segmap")
+        assert notes[1:] == [f"map cached as {cache}"]
+    built = cache.stat().st_mtime_ns
+    with pumping(str(site), notes) as pump:
+        until(pump, is_read)
+        assert cache.stat().st_mtime_ns == built and len(notes) == 2
+        write_scan(tmp_path / "other.pcd", points + [3.0, 0.0, 0.0])
+        (tmp_path / "other.pcd").replace(site)
+        until(pump, lambda told: len(notes) == 4)
+        (other,) = set(tmp_path.glob("site.pcd.*.segmap")) - {cache}
+        other.write_bytes(other.read_bytes()[:1000])
+    with pumping(str(site), notes) as pump:
+        until(pump, is_read)
+        assert "built again" in notes[4] and notes[6] == f"map cached as {other}"
+        faults: list[str] = []
+        (tmp_path / "tiles").mkdir()
+        write_scan(tmp_path / "tiles" / "a.pcd", points)
+        pump.load(str(tmp_path / "tiles"), None, faults.append)
+        until(pump, lambda told: faults == [""])
+    assert len(list(tmp_path.glob("tiles.*.segmap"))) == 1
+
+
+def test_a_node_ends_while_it_builds_a_map(plaza: Plaza, tmp_path: Path) -> None:
+    write_scan(tmp_path / "site.pcd", plaza.points)
+    with pumping(str(tmp_path / "site.pcd")) as pump:
+        until(pump, lambda told: "building" in told.message)
+    assert not list(tmp_path.glob("*.segmap"))

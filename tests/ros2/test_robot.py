@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +12,18 @@ import numpy as np
 import pytest
 from samples.on_board import BODY, beside, with_mast
 from samples.plaza import Plaza
-from samples.ros_drive import LIDAR, MOUNT, T_MAP_ODOM, Listener, cloud_of, on_tf_static
+from samples.ros_drive import (
+    LIDAR,
+    MOUNT,
+    T_MAP_ODOM,
+    Listener,
+    cloud_of,
+    livox_of,
+    on_tf_static,
+)
 from samples.streams import walked
 from segloc_ros.core.clicks import Click
-from segloc_ros.core.diagnosis import Level, diagnose
+from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
 from segloc_ros.core.frames import Transform
 from segloc_ros.core.replies import (
     CandidatesReply,
@@ -50,11 +60,11 @@ def test_a_drive_gives_poses_of_the_base_and_map_to_odom(
     assert last.stamp == pytest.approx(105.2 + 0.2)  # of the newest odometry, post-dated
     assert len(listener.of_kind(InitialPose)) == 1  # told once: what followed agreed with it
     shown = listener.of_kind(MatchesReply)[-1]
-    assert shown.believed and len(shown.centroids) > 5
+    assert shown.accepted and len(shown.centroids) > 5
     told = diagnose(listener.robot)
     assert told.level is Level.OK and told.message == "localized"
     assert float(told.values["total_ms"]) > 0 and "segmentation_ms" in told.values
-    assert told.values["last query"] == "believed"
+    assert told.values["last query"] == "accepted"
 
 
 def test_poses_for_a_tracker_leave_room_and_those_beside_do_not(
@@ -144,6 +154,82 @@ def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Pl
     truth = listener.walk(plaza, 3, start_s=106.0, begin=(-2.0, 1.6), T_map_odom=T)
     assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 7.0
     assert listener.robot.trigger.resting and listener.robot.fixes == 2
+
+
+@pytest.mark.parametrize("trigger", ["until_localized", "periodic"])
+def test_an_update_without_motion_checks_the_pose_and_keeps_it(
+    localizer: Localizer, plaza: Plaza, trigger: str
+) -> None:
+    listener = Listener.of(localizer, trigger=trigger, mode="initialpose", query_every_s=100.0)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3, step=0.0)
+    rests, last = listener.robot.trigger.resting, listener.robot.last
+    listener.walk(plaza, 2, start_s=103.0, step=0.0)
+    assert listener.robot.last is last  # none is due
+    listener.clear()
+    listener.robot.request_update()
+    truth = listener.walk(plaza, 3, start_s=105.0, step=0.0)
+    assert listener.robot.last is not last and listener.robot.fixes == 1
+    assert not listener.of_kind(InitialPose)  # it was right
+    assert all(off(reply.T_map_base, truth) < 0.3 for reply in listener.of_kind(PoseReply))
+    assert listener.robot.trigger.resting == rests and robot_state(listener.robot, True).localized
+    last = listener.robot.last
+    listener.walk(plaza, 2, start_s=108.0, step=0.0)
+    assert listener.robot.last is last  # one was asked for
+
+
+def test_an_update_of_a_robot_that_rests_without_a_pose_is_ignored(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer, trigger="service")
+    on_tf_static(listener.robot)
+    listener.robot.request_update()
+    listener.walk(plaza, 2)
+    assert listener.robot.last is None and listener.robot.trigger.resting
+
+
+@pytest.mark.parametrize("kept", ["drop", "keep"])
+def test_a_lost_robot_drops_or_keeps_map_to_odom_and_its_state_tells_which(
+    localizer: Localizer, plaza: Plaza, kept: str
+) -> None:
+    listener = Listener.of(localizer, tf_when_lost=kept, mode="tf")
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 3)
+    assert robot_state(listener.robot, True).map_to_odom is TfState.CURRENT
+    listener.robot.relocalize()
+    listener.clear()
+    listener.odometry(103.5, np.eye(4))
+    sent = [reply.transform.T_parent_child for reply in listener.of_kind(MapToOdom)]
+    state, told = robot_state(listener.robot, True), diagnose(listener.robot)
+    assert state.status is StateStatus.LOST and not state.localized
+    assert len(sent) == (kept == "keep")
+    if kept == "keep":
+        assert np.allclose(sent[0], T_MAP_ODOM, atol=0.5)
+        assert state.map_to_odom is TfState.KEPT and "map -> odom is kept" in told.message
+        listener.robot.use(localizer)  # another frame
+    listener.clear()
+    listener.odometry(103.7, np.eye(4))
+    assert not listener.of_kind(MapToOdom)
+    assert robot_state(listener.robot, True).map_to_odom is TfState.NONE
+
+
+def test_the_state_for_programs(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(trigger="until_localized", map="/maps/site.segmap")
+    state = robot_state(listener.robot, True)
+    assert (state.status, state.reason) == (StateStatus.LOST, "the map is being read")
+    assert diagnose(listener.robot).level is Level.WARN
+    listener.robot.use(localizer)
+    assert "no cloud yet" in robot_state(listener.robot, True).reason
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    state = robot_state(listener.robot, True)
+    assert state.status is StateStatus.LOCALIZED and state.localized and state.at_rest
+    assert state.confidence > 0.97 and state.reason == "" and state.map_url == "/maps/site.segmap"
+    assert state.stamp == pytest.approx(101.0)
+    listener.cloud(101.5, np.full((9, 3), np.nan))
+    state = robot_state(listener.robot, True)
+    assert state.localized and "cloud refused" in state.reason
+    assert robot_state(listener.robot, False).status is StateStatus.INACTIVE
 
 
 def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza) -> None:
@@ -262,6 +348,34 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     listener.clear()
     listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
     assert listener.of_kind(InitialPose)
+    told = diagnose(listener.robot)
+    assert told.level is Level.ERROR
+    assert told.message == "localized; the map in use stays: no map: it is gone"
+
+
+@pytest.mark.slow
+def test_memory_is_flat_after_a_cloud_of_5_million_points(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    truth = listener.walk(plaza, 6)
+    before_mb = resident_mb()
+    rng = np.random.default_rng(0)
+    points = np.tile(plaza.scan(truth @ MOUNT, posed=False).points, (200, 1))[:5_000_000]
+    listener.cloud(106.0, points + rng.normal(0.0, 0.01, points.shape).astype(np.float32))
+    listener.odometry(106.2, np.asarray(listener.robot.state.T_odom_base))
+    assert listener.robot.points > 1_000_000
+    del points
+    listener.walk(plaza, 8, start_s=107.0)
+    assert resident_mb() < before_mb + 60.0
+
+
+def resident_mb() -> float:
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("needs Linux")
+    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(
@@ -525,6 +639,25 @@ def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Pla
         truth = T_map_lidar @ lidar_base
         assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
         assert diagnose(listener.robot).message == "localized"
+
+
+def test_livox_messages_are_read_from_their_bytes(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    lidar_base = geometry.inverse(MOUNT)
+    for events, T_map_lidar in walked(plaza, 6, step=0.1):
+        truth, (before, main, behind) = T_map_lidar @ lidar_base, events
+        listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
+        listener.hear(listener.robot.on_livox(livox_of(main.scan.points, main.stamp)))
+        listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+    told = diagnose(listener.robot)
+    assert told.message == "localized" and told.values["scans"] == "6"
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert not told.values.get("point times")  # in seconds after the stamp
+    for data in (livox_of(main.scan.points, 107.0)[:500], b"\0\1\0\0", b""):
+        assert listener.robot.on_livox(data) == []
+    told = diagnose(listener.robot)
+    assert told.values["refused: unreadable"] == "3" and "cloud refused" in told.message
 
 
 def test_points_on_the_robot_are_dropped_by_the_box_of_the_map(

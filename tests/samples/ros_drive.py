@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import struct
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -38,6 +40,18 @@ def cloud_of(points: Float64, *more: tuple[str, str, Float64]) -> Any:
         height=1, width=len(rows), fields=fields, is_bigendian=False, point_step=step,
         row_step=step * len(rows), data=np.frombuffer(rows.tobytes(), np.uint8),
     )  # fmt: skip
+
+
+def livox_of(points: Float64, stamp: float, frame: str = LIDAR) -> bytes:
+    """A livox_ros_driver2/CustomMsg of (N, 3) points in CDR, measured within 0.1 s."""
+    body = struct.pack("<iII", math.floor(stamp), int(1e9 * (stamp % 1.0)), len(frame) + 1)
+    body += frame.encode() + b"\0"
+    body += b"\0" * (-len(body) % 8)
+    body += struct.pack("<QIB3xI", max(0, int(1e9 * stamp)), len(points), 1, len(points))
+    kind = [("offset_time", "<u4"), ("xyz", "<f4", 3), ("rest", "V4")]
+    rows = np.zeros(len(points), kind)
+    rows["xyz"], rows["offset_time"] = points, np.linspace(0, 1e8, len(points))
+    return b"\0\1\0\0" + body + rows.tobytes()[:-1]
 
 
 def on_tf_static(robot: Robot, T: Pose = MOUNT, child: str = LIDAR) -> list[Reply]:
@@ -95,4 +109,14 @@ class Listener:
             self.said += self.robot.answer(self.robot.ask(job))
 
 
-__all__ = ["BASE", "LIDAR", "MOUNT", "ODOM", "T_MAP_ODOM", "Listener", "cloud_of", "on_tf_static"]
+__all__ = [
+    "BASE",
+    "LIDAR",
+    "MOUNT",
+    "ODOM",
+    "T_MAP_ODOM",
+    "Listener",
+    "cloud_of",
+    "livox_of",
+    "on_tf_static",
+]

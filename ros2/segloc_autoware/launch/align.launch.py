@@ -33,6 +33,7 @@ def generate_launch_description() -> LaunchDescription:
                 "trigger": "service",
                 "odometry": given["odometry"],
                 "initialpose_topic": "~/initialpose",
+                "click_topic": "~/click",
                 "service_timeout_s": 10.0,
             }
         ],

@@ -1,1 +1,1 @@
-"""segloc where Autoware's pose_initializer asks an NDT scan matcher: one service, and no more."""
+"""segloc in place of the alignment service of Autoware's NDT scan matcher."""

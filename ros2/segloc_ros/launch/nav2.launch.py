@@ -12,5 +12,5 @@ from segloc_ros.launching import nav2, nav2_arguments, segloc, share
 
 def generate_launch_description() -> LaunchDescription:
     defaults = str(share("segloc_ros") / "config" / "nav2.yaml")
-    node = segloc(default_params_file=defaults, click="initialpose")
+    node = segloc(default_params_file=defaults)
     return LaunchDescription([*nav2_arguments(), node, nav2()])

@@ -1,4 +1,4 @@
-"""segloc and Nav2 without AMCL: segloc broadcasts map -> odom, without jumps.
+"""segloc and Nav2 without AMCL: segloc broadcasts map -> odom, without jumps, under AMCL's names.
 
 ros2 launch segloc_ros nav2_without_amcl.launch.py map:=/maps/site.segmap grid:=/maps/site.yaml
     points:=/points odom:=/odom [namespace:=robot1] [odometry:=kiss-icp] [pose_file:=...]
@@ -29,6 +29,6 @@ def generate_launch_description() -> LaunchDescription:
         namespace=namespace,
         parameters=[clock, {"autostart": True, "node_names": ["map_server"]}],
     )
-    node = segloc(mode="tf", trigger="periodic", smooth_tf="true")
+    node = segloc(mode="tf", trigger="periodic", smooth_tf="true", amcl_names="true")
     navigation = nav2(use_localization="False")
     return LaunchDescription([*nav2_arguments(), node, server, manager, navigation])

@@ -19,6 +19,7 @@ SHARE = share("segloc_ros")
 PARAMETERS = {
     "map": "the .segmap, or a folder or URL of tiles",
     "mode": "initialpose, tf or both",
+    "tf_when_lost": "map -> odom of a lost robot: drop or keep",
     "trigger": "until_localized, periodic or service",
     "odometry": "topic, tf, kiss-icp or none",
     "base_to_lidar": "mount where tf has none: '[x, y, z, roll, pitch, yaw]'",
@@ -33,8 +34,14 @@ ARGUMENTS = {name: ("", text) for name, text in PARAMETERS.items()} | {
     "namespace": ("", "namespace of the node, its topics and tf"),
     "points": ("points", "topic of the clouds"),
     "odom": ("odom", "topic of the odometry"),
-    "click": ("segloc/click", "topic of the poses that are set in RViz"),
+    "amcl_names": ("false", "true: pose and services under AMCL's names, such as amcl_pose"),
     "rviz": ("false", "true: show the map, the clouds and the pose"),
+}
+AMCL_NAMES = {
+    "pose": "amcl_pose",
+    "reinitialize_global_localization": "reinitialize_global_localization",
+    "request_nomotion_update": "request_nomotion_update",
+    "set_initial_pose": "set_initial_pose",
 }
 TF = [("/tf", "tf"), ("/tf_static", "tf_static")]  # in a namespace each robot has its own
 
@@ -60,11 +67,17 @@ def nodes(context: LaunchContext) -> list[Node]:
     for file in files:
         if not file.is_file():
             raise RuntimeError(f"no file of parameters {file}: check params_file")
+    renamed = AMCL_NAMES if yaml.safe_load(values["amcl_names"]) is True else {}
+    remappings = [("points", values["points"]), *TF]
     localizing = localizer(
         "segloc_ros",
         "segloc_node",
         parameters=[*files, given],
-        remappings=[("points", values["points"]), ("odom", values["odom"]), *TF],
+        remappings=[
+            *remappings,
+            ("odom", values["odom"]),
+            *((f"~/{name}", amcls) for name, amcls in renamed.items()),
+        ],
     )
     rviz = Node(
         package="rviz2",
@@ -72,7 +85,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         namespace=values["namespace"],
         arguments=["-d", str(SHARE / "rviz" / "segloc.rviz")],
         parameters=[{"use_sim_time": given.get("use_sim_time", False)}],
-        remappings=[("points", values["points"]), ("segloc/click", values["click"]), *TF],
+        remappings=[*remappings, *((f"segloc/{name}", amcls) for name, amcls in renamed.items())],
         condition=IfCondition(values["rviz"]),
     )
     return [localizing, rviz]

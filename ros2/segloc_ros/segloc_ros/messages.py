@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .core.clicks import Click
-from .core.diagnosis import Diagnosis
+from .core.diagnosis import Diagnosis, RobotState
 from .core.frames import Transform, frame_name, pose_of, position_and_quaternion
 from .core.replies import CandidatesReply, MatchesReply, OdometryReply, PoseReply
 
@@ -141,7 +141,7 @@ def _marker(reply: MatchesReply, number: int, kind: int, size: float) -> Marker:
     marker.header.frame_id, marker.header.stamp = reply.frame, time_of(reply.stamp)
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = marker.scale.z = size
-    marker.color.r, marker.color.g, marker.color.b = _GREEN if reply.believed else _ORANGE
+    marker.color.r, marker.color.g, marker.color.b = _GREEN if reply.accepted else _ORANGE
     marker.color.a = 0.9
     return marker
 
@@ -149,6 +149,16 @@ def _marker(reply: MatchesReply, number: int, kind: int, size: float) -> Marker:
 def _point(xyz: NDArray[np.float64]) -> Point:
     x, y, z = (float(value) for value in xyz)
     return Point(x=x, y=y, z=z)
+
+
+def state_out(state: RobotState, frame: str, message: Any) -> Any:
+    """Fill a segloc_msgs/State."""
+    message.header.frame_id, message.header.stamp = frame, time_of(state.stamp)
+    message.status, message.map_to_odom = int(state.status), int(state.map_to_odom)
+    message.localized, message.at_rest = state.localized, state.at_rest
+    message.reason, message.map_url = state.reason, state.map_url
+    message.confidence = state.confidence
+    return message
 
 
 def diagnostics_out(told: Diagnosis, name: str, stamp: Time) -> DiagnosticArray:

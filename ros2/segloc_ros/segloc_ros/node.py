@@ -1,7 +1,8 @@
-"""The node: topics and services of ROS around the core, and nothing that the core could do."""
+"""The node: topics and services of ROS around the core."""
 
 from __future__ import annotations
 
+import importlib
 import time
 from functools import partial
 from typing import Any
@@ -23,17 +24,20 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
-from std_srvs.srv import Trigger
+from std_srvs.srv import Empty, Trigger
 
 from segloc import Prior, SeglocError
 
+from .bond_port import BondPort
 from .core.diagnosis import Level
 from .core.frames import Transform
-from .core.maps import MapFile
+from .core.livox import is_livox
+from .core.maps import MapFile, grid_beside
 from .core.pump import Pump
 from .core.replies import Reply
 from .core.robot import Robot
 from .core.settings import Settings
+from .grid_port import GridPort
 from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .process import EndSignal
@@ -44,8 +48,13 @@ try:
     from segloc_msgs.srv import LoadMap
 except ImportError:  # then the parameter map does it
     LoadMap = None
+try:
+    from nav2_msgs.srv import SetInitialPose
+except ImportError:  # then the topic initialpose does it
+    SetInitialPose = None
 
 _TICK_S = 0.5
+_POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 # What wrong parameters, arguments and installations raise, here and in rclpy.
 REFUSALS = (
     SeglocError, ImportError, NameValidationException, ParameterException,
@@ -72,19 +81,28 @@ class SeglocNode(LifecycleNode):
         self.pump: Pump | None = None
         self._outputs: Outputs | None = None
         self._tf: TfPort | None = None
+        self._grid: GridPort | None = None
         self._inputs: list[Any] = []
+        self._cloud_types: dict[str, str] = {}  # by topic, as subscribed
         self._heard_at, self._quiet = time.monotonic(), False
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
+        self._bond: BondPort | None = None
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_TICK_S, self._tick, clock=self._steady)
         # Calls wait, and must not keep what they wait for from coming in.
         self.calls = ReentrantCallbackGroup()
-        self.create_service(Trigger, "~/relocalize", self._on_relocalize, callback_group=self.calls)
-        if LoadMap is not None:
-            self.create_service(LoadMap, "~/load_map", self._on_load, callback_group=self.calls)
+        for kind, service, on_call in (
+            (Trigger, "relocalize", self._on_relocalize),
+            (Empty, "reinitialize_global_localization", self._on_reinitialize),
+            (Empty, "request_nomotion_update", self._on_update),
+            (SetInitialPose, "set_initial_pose", self._on_set_pose),
+            (LoadMap, "load_map", self._on_load),
+        ):
+            if kind is not None:
+                self.create_service(kind, f"~/{service}", on_call, callback_group=self.calls)
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
-        """What the parameters say.
+        """Return the settings that the parameters hold.
 
         Raises
         ------
@@ -111,8 +129,9 @@ class SeglocNode(LifecycleNode):
                 self._tf = TfPort(self, self._on_tf)
             except ImportError:
                 self._without_tf(settings)
+            self._grid = self._grid_port(settings.grid_service)
             self.robot = Robot(settings)
-            maps = MapFile(settings.map, settings.threads)
+            maps = MapFile(settings.map, settings.threads, self.get_logger().info)
         except REFUSALS as error:
             self.get_logger().error(one_line(error))
             self._tear_down()
@@ -124,9 +143,20 @@ class SeglocNode(LifecycleNode):
         return super().on_configure(state)
 
     def _without_tf(self, settings: Settings) -> None:
-        if settings.tells_tf or settings.odometry == "tf":
+        if settings.broadcasts_tf or settings.odometry == "tf":
             raise ImportError("mode tf and odometry by tf need tf2_msgs: install it")
         self.get_logger().warning("no tf2_msgs: the mount is known by base_to_lidar alone")
+
+    def _end_bond(self) -> None:
+        if self._bond is not None:
+            self._bond.close()
+            self._bond = None
+
+    def _grid_port(self, service: str) -> GridPort | None:
+        try:
+            return GridPort(self, service) if service else None
+        except ImportError:  # then there is no Nav2
+            return None
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
@@ -135,17 +165,24 @@ class SeglocNode(LifecycleNode):
             self.get_logger().error(one_line(error))
             self.on_deactivate(state)
             return TransitionCallbackReturn.FAILURE
+        if not self.get_parameter("autostart").value:
+            self._start_bond()
         return super().on_activate(state)
 
+    def _start_bond(self) -> None:
+        """Send heartbeats to the lifecycle manager that has activated the node."""
+        try:
+            self._bond = BondPort(self, self._steady)
+        except ImportError:
+            self.get_logger().warning(
+                "no package bond: install it, or set bond_timeout: 0.0 in Nav2's lifecycle manager"
+            )
+
     def _subscribe(self, settings: Settings) -> None:
-        reliability = ReliabilityPolicy.BEST_EFFORT
-        if settings.points_reliable:
-            reliability = ReliabilityPolicy.RELIABLE
-        clouds = QoSProfile(depth=settings.points_depth, reliability=reliability)
+        for topic in (settings.points_topic, *settings.more_points_topics):
+            self._inputs.append(self._subscribe_clouds(settings, topic, _POINT_CLOUD2))
         fast = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-        lidars = (settings.points_topic, *settings.more_points_topics)
         wanted = [
-            *((PointCloud2, topic, partial(self._on_cloud, topic), clouds) for topic in lidars),
             (Imu, settings.imu_topic, self._on_imu, fast),
             (NavSatFix, settings.fix_topic, self._on_fix, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
@@ -156,10 +193,50 @@ class SeglocNode(LifecycleNode):
             if topic:
                 self._inputs.append(self.create_subscription(kind, topic, heard, qos))
 
+    def _subscribe_clouds(self, settings: Settings, topic: str, type_name: str) -> Any:
+        """Subscribe to a LiDAR's topic of a type.
+
+        Raise ImportError if the type is not installed.
+        """
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        if settings.points_reliable:
+            reliability = ReliabilityPolicy.RELIABLE
+        qos = QoSProfile(depth=settings.points_depth, reliability=reliability)
+        self._cloud_types[topic] = type_name
+        if type_name == _POINT_CLOUD2:
+            heard = partial(self._on_cloud, topic)
+            return self.create_subscription(PointCloud2, topic, heard, qos)
+        package, _, name = type_name.split("/")
+        kind = getattr(importlib.import_module(f"{package}.msg"), name)
+        return self.create_subscription(kind, topic, partial(self._on_livox, topic), qos, raw=True)
+
+    def _follow_cloud_types(self, robot: Robot) -> None:
+        """Subscribe with Livox's type to topics that have no publisher of another type."""
+        for k, (topic, subscribed) in enumerate(list(self._cloud_types.items())):
+            ends = self.get_publishers_info_by_topic(self._inputs[k].topic_name)
+            types = sorted({end.topic_type for end in ends})
+            if not types or subscribed in types:
+                continue
+            if types[0] != _POINT_CLOUD2 and not is_livox(types[0]):
+                robot.report_topic(f"{topic} is {types[0]}, not {_POINT_CLOUD2}: remap points")
+                continue
+            try:
+                subscription = self._subscribe_clouds(robot.settings, topic, types[0])
+            except ImportError:
+                self._cloud_types[topic] = subscribed
+                robot.report_topic(
+                    f"{topic} is {types[0]}, which is not installed: source the driver's "
+                    "workspace, or set its xfer_format to 0"
+                )
+                continue
+            self.destroy_subscription(self._inputs[k])
+            self._inputs[k] = subscription
+
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._inputs = []
+        self._inputs, self._cloud_types = [], {}
+        self._end_bond()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -173,10 +250,10 @@ class SeglocNode(LifecycleNode):
 
     def _tear_down(self) -> None:
         self._close_pump()
-        for port in (self._outputs, self._tf):
+        for port in (self._outputs, self._tf, self._grid):
             if port is not None:
                 port.close()
-        self.robot, self._outputs, self._tf = None, None, None
+        self.robot, self._outputs, self._tf, self._grid = None, None, None, None
 
     def _close_pump(self) -> None:
         if self.pump is not None:
@@ -186,10 +263,11 @@ class SeglocNode(LifecycleNode):
             self.robot.keeper.flush()
 
     def destroy_node(self) -> None:
+        self._end_bond()
         self._close_pump()
         super().destroy_node()
 
-    # --- what comes in -------------------------------------------------------------------------
+    # --- inputs --------------------------------------------------------------------------------
 
     def _warn(self, fault: str) -> None:
         self.get_logger().warning(fault, throttle_duration_sec=5.0)
@@ -199,6 +277,11 @@ class SeglocNode(LifecycleNode):
         stamp, frame = seconds(message.header.stamp), message.header.frame_id
         if self.pump is not None:
             self.pump.feed_cloud(lambda robot: robot.on_cloud(message, stamp, frame, topic))
+
+    def _on_livox(self, topic: str, data: bytes) -> None:
+        self._heard_at, self._quiet = time.monotonic(), False
+        if self.pump is not None:
+            self.pump.feed_cloud(lambda robot: robot.on_livox(data, topic))
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (
@@ -234,15 +317,16 @@ class SeglocNode(LifecycleNode):
         except SeglocError as error:
             why = str(error)
         if why and why != "an echo":
-            self.get_logger().warning(f"passed over: {why}")
+            self.get_logger().warning(f"pose ignored: {why}")
 
-    # --- what is said --------------------------------------------------------------------------
+    # --- outputs -------------------------------------------------------------------------------
 
     def _publish(self, replies: list[Reply]) -> None:
         if self._outputs is None or self.robot is None or not self._inputs:
             return
         for reply in replies:
             self._outputs.publish(reply, self._tf)
+        self._outputs.publish_state(self.robot, True)
         self.waiting.settle(self.robot.fixes)
 
     def _tick(self) -> None:
@@ -259,10 +343,13 @@ class SeglocNode(LifecycleNode):
             self._publish(robot.quiet(quiet_s))
         if self._inputs:
             robot.publishers = self.count_publishers(self._inputs[0].topic_name)
+            self._follow_cloud_types(robot)
         if self._outputs is not None:
             told = self._outputs.look_after(robot, bool(self._inputs))
             if told is not None and told.level is Level.OK:
                 self.get_logger().info(told.message)
+            elif told is not None and told.level is Level.ERROR:
+                self.get_logger().error(told.message)
             elif told is not None:
                 self.get_logger().warning(told.message)
         if robot.keeper is not None:
@@ -281,6 +368,19 @@ class SeglocNode(LifecycleNode):
         response.message = self.why()
         return response
 
+    def _on_reinitialize(self, request: Empty.Request, response: Empty.Response) -> Empty.Response:
+        self.find()
+        return response
+
+    def _on_update(self, request: Empty.Request, response: Empty.Response) -> Empty.Response:
+        if self.pump is not None:
+            self.pump.read(lambda robot: robot.request_update())
+        return response
+
+    def _on_set_pose(self, request: Any, response: Any) -> Any:
+        self._on_click(request.pose)
+        return response
+
     async def _on_load(self, request: Any, response: Any) -> Any:
         try:
             T_new_old = pose_in(request.old_in_new) if request.near else None
@@ -296,7 +396,7 @@ class SeglocNode(LifecycleNode):
                 self._load(str(each.value))
 
     def _load(self, path: str, T_new_old: Any = None) -> Future:
-        """Replace the map; a future of the fault, "" if there is none."""
+        """Replace the map; return a future of the fault, "" if there is none."""
         future = Future(executor=self.executor)
         if self.pump is None:
             future.set_result("the node is not configured")
@@ -305,13 +405,15 @@ class SeglocNode(LifecycleNode):
         def done(fault: str) -> None:
             if fault:
                 self.get_logger().error(f"the map stays as it was: {fault}")
+            elif self._grid is not None and (grid := grid_beside(path)):
+                self._grid.load(grid)
             future.set_result(fault)
 
         self.pump.load(path, T_new_old, done)
         return future
 
     def find(self, near: Prior | None = None, anywhere: bool = True) -> Future:
-        """Look for the robot; a future that says whether it was found."""
+        """Search for the robot; return a future that is True if it is found."""
         future = Future(executor=self.executor)
         if self.pump is None or self.robot is None or not self._inputs:
             future.set_result(False)
@@ -320,7 +422,7 @@ class SeglocNode(LifecycleNode):
         return self.waiting.wait(fixes, self.robot.settings.service_timeout_s, future)
 
     def why(self) -> str:
-        """How it stands, in a line."""
+        """Return the state in one line."""
         if self.pump is None or self._outputs is None or not self._inputs:
             return "the node is not active"
         return self.pump.read(self._outputs.summary)
@@ -332,7 +434,7 @@ def run(kind: type[SeglocNode], end: EndSignal) -> bool:
     Returns
     -------
     bool
-        False if its parameters, or what is installed, do not let it start; the log says why.
+        False if parameters or missing packages prevent the start; the log has the reason.
     """
     stop: Future = Future()
     try:

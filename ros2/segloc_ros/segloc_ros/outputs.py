@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
 from segloc import Localizer
 
-from .core.diagnosis import Diagnosis, Level, diagnose
+from .core.diagnosis import Diagnosis, Level, RobotState, diagnose, robot_state
 from .core.maps import map_points
 from .core.replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .core.robot import Robot
@@ -24,9 +27,15 @@ from .messages import (
     matches_out,
     odometry_out,
     pose_out,
+    state_out,
 )
 from .tf_port import TfPort
 from .tracker_port import TrackerPort
+
+try:
+    from segloc_msgs.msg import State
+except ImportError:  # then ~/localized and /diagnostics have the state
+    State = None
 
 
 class Outputs:
@@ -41,7 +50,10 @@ class Outputs:
     def __init__(self, node: Node, settings: Settings) -> None:
         self._node, self._settings = node, settings
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", latched)
+        self._localized = node.create_publisher(Bool, "~/localized", latched)
+        self._state = None if State is None else node.create_publisher(State, "~/state", latched)
+        self._published: RobotState | None = None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._map = node.create_publisher(PointCloud2, "~/map_cloud", latched)
         self._matches = node.create_publisher(MarkerArray, "~/matches", 1)
@@ -49,16 +61,16 @@ class Outputs:
         self._odometry = None
         if settings.odometry == "kiss-icp" and settings.odom_topic:
             self._odometry = node.create_publisher(Odometry, settings.odom_topic, 10)
-        self._tracker = TrackerPort(node, settings) if settings.tells_initialpose else None
+        self._tracker = TrackerPort(node, settings) if settings.sends_initialpose else None
         self._said = ""
 
     def publish(self, reply: Reply, tf: TfPort | None) -> None:
-        """What the core says."""
+        """Publish an output of the core."""
         if isinstance(reply, PoseReply):
             self._pose.publish(pose_out(reply))
         elif isinstance(reply, InitialPose):
             if self._tracker is not None:
-                self._tracker.tell(reply)
+                self._tracker.send(reply)
         elif isinstance(reply, MapToOdom):
             if tf is not None:
                 tf.send(reply.transform)
@@ -72,8 +84,19 @@ class Outputs:
         else:
             self._matches.publish(matches_out(reply))
 
+    def publish_state(self, robot: Robot, active: bool) -> None:
+        """Publish the state of a robot if anything but its stamp has changed."""
+        state, last = robot_state(robot, active), self._published
+        if last is not None and state == replace(last, stamp=state.stamp):
+            return
+        self._published = state
+        if self._state is not None:
+            self._state.publish(state_out(state, self._settings.map_frame, State()))
+        if last is None or last.localized != state.localized:
+            self._localized.publish(Bool(data=state.localized))
+
     def show_map(self, localizer: Localizer) -> None:
-        """Latch the cloud of a map."""
+        """Publish the cloud of a map, latched, and log notes on the map."""
         most = self._settings.map_cloud_points
         stamp = self._node.get_clock().now().to_msg()
         if most:
@@ -83,13 +106,14 @@ class Outputs:
             self._node.get_logger().warning(note)
 
     def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
-        """What is done now and then; what is said where that has changed."""
+        """Publish state and diagnosis, serve late trackers; return a diagnosis that is new."""
         told = self._diagnosis(robot, active)
+        self.publish_state(robot, active)
         if self._tracker is not None:
             if robot.T_map_odom is None:
                 self._tracker.forget()
             elif active:
-                self._tracker.again(robot.initial_pose)
+                self._tracker.send_again(robot.initial_pose)
         stamp = self._node.get_clock().now().to_msg()
         name = f"{self._node.get_name()}: localization"
         self._diagnostics.publish(diagnostics_out(told, name, stamp))
@@ -99,13 +123,13 @@ class Outputs:
         return told
 
     def summary(self, robot: Robot) -> str:
-        """One line."""
+        """Return the state in one line."""
         return diagnose(robot).message
 
     def close(self) -> None:
-        """End all."""
+        """Destroy the publishers."""
         ours = [self._pose, self._diagnostics, self._map, self._matches, self._candidates]
-        ours.append(self._odometry)
+        ours += [self._odometry, self._localized, self._state]
         for publisher in ours:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

@@ -1,4 +1,4 @@
-"""Poses for a tracker such as AMCL: by topic, and by its service where that is asked for."""
+"""Poses for a tracker such as AMCL, by topic and, if configured, by its service."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .messages import pose_out
 
 
 class TrackerPort:
-    """Tells a tracker where the robot is, and again once it listens.
+    """Sends the robot's pose to a tracker, again when the tracker appears.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class TrackerPort:
     Raises
     ------
     ImportError
-        If the service is asked for, and nav2_msgs is not installed.
+        If a service is configured and nav2_msgs is not installed.
     """
 
     def __init__(self, node: Node, settings: Settings) -> None:
@@ -42,26 +42,26 @@ class TrackerPort:
             self._client = node.create_client(SetInitialPose, settings.set_initial_pose_service)
         self._unheard = self._uncalled = False
 
-    def tell(self, reply: InitialPose) -> None:
-        """Publish a pose, and call the service if it is there."""
+    def send(self, reply: InitialPose) -> None:
+        """Publish a pose, and call the service if it is ready."""
         message = pose_out(reply.pose)
         self._publisher.publish(message)
         self._unheard = not self._is_heard()
         self._call(message)
 
-    def again(self, now: Callable[[], InitialPose | None]) -> None:
-        """Tell those who were not there before."""
+    def send_again(self, now: Callable[[], InitialPose | None]) -> None:
+        """Send the pose to a subscriber or service that was not ready before."""
         heard = self._unheard and self._is_heard()
         called = self._uncalled and self._client is not None and self._client.service_is_ready()
         if (heard or called) and (reply := now()) is not None:
-            self.tell(reply)
+            self.send(reply)
 
     def forget(self) -> None:
-        """What was told holds no longer."""
+        """Do not send again: the pose is no longer valid."""
         self._unheard = self._uncalled = False
 
     def close(self) -> None:
-        """End both."""
+        """Destroy the publisher and the client."""
         self._node.destroy_publisher(self._publisher)
         if self._client is not None:
             self._node.destroy_client(self._client)

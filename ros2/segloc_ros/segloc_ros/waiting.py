@@ -1,4 +1,4 @@
-"""Calls that are answered once the robot is found, or after a while."""
+"""Service calls that are answered when the robot is found, or time out."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ class _Call:
 
 
 class Waiting:
-    """Callers of services who wait."""
+    """Pending service calls."""
 
     def __init__(self) -> None:
         self._calls: list[_Call] = []
         self._lock = threading.Lock()
 
     def wait(self, fixes: int, seconds: float, future: Future) -> Future:
-        """A future that says whether it was found; ``fixes`` is what that must exceed."""
+        """Return the future: True once there are more fixes than ``fixes``, else False."""
         with self._lock:
             self._calls.append(_Call(fixes, time.monotonic() + seconds, future))
         return future
 
     def settle(self, fixes: int, given_up: bool = False) -> None:
-        """Answer those whose time has come."""
+        """Answer the calls that are found, given up or timed out."""
         now = time.monotonic()
         with self._lock:
             done = [c for c in self._calls if fixes > c.fixes or given_up or now > c.until]

@@ -15,9 +15,11 @@ from ..inspect.pictures import (
     GREY,
     PATH,
     RED,
+    SMALL_PT,
     TEXT_PT,
     blank,
     chart,
+    coordinates,
     density,
     dots,
     legend,
@@ -26,6 +28,7 @@ from ..inspect.pictures import (
     scale,
     title,
 )
+from ..map.georeference import Georeference
 from ..map.segment_map import SegmentMap
 from ..types import Bools, Float64
 from .score import PATH_BREAK_M, Evaluation
@@ -35,12 +38,12 @@ if TYPE_CHECKING:
 
 
 _LONG_SIDE_IN, _SHORT_SIDE_IN, _DPI = 11.0, 4.5, 120
+_HEADING_IN = 0.4
 _MARGIN_M = 15.0
 _ARROW_PX = 20.0
 _MARKERS = "oDs^vP*Xh"
 """Markers of reasons, the most frequent first."""
-_ERRORS_SIZE_IN, _ERRORS_DPI = (11.0, 5.0), 110
-_ERRORS_MARGIN_M = 10.0
+_ERRORS_SIZE_IN, _ERRORS_DPI = (12.0, 5.5), 110
 
 
 def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
@@ -62,24 +65,43 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
         If matplotlib is not installed.
     """
     low, high = _extent(prior_map, evaluation)
-    figure = blank(_figure_size(high - low), _DPI)
-    axes = figure.add_axes((0.01, 0.01, 0.98, 0.95))
-    plan(axes, low, high)
-    density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
-    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
-    _draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
-    if not driven.all():
-        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
+    width, height = _figure_size(high - low)
+    figure = blank((width, height), _DPI)
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEADING_IN / height))
+    axes = figure.add_subplot()
+    _draw_map(axes, prior_map, low, high)
     if evaluation.truths is not None:
         style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true trajectory of the queries"}
         _draw_path(axes, evaluation.truths[:, :2, 3], **style)
     _draw_found(axes, evaluation)
     _draw_refused(axes, evaluation)
-    scale(axes)
     legend(axes)
-    title(figure, heading)
+    title(figure, heading, 1 - _HEADING_IN / height / 2)
+    figure.text(
+        0.98, 1 - _HEADING_IN / height / 2, _size_of(prior_map), fontsize=TEXT_PT, color=DARK,
+        ha="right", va="center",
+    )  # fmt: skip
     labels = axes.get_legend_handles_labels()[1]
     return png(figure, f"{heading}: {', '.join(labels)}")
+
+
+def _draw_map(axes: Axes, prior_map: SegmentMap, low: Float64, high: Float64) -> None:
+    """Set up a ground plan of the map with coordinates: its cloud, its drives and viewpoints."""
+    plan(axes, low, high)
+    where = Georeference.of(prior_map.metadata)
+    coordinates(axes, ("x, m", "y, m") if where is None else ("x (east), m", "y (north), m"))
+    density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
+    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
+    _draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
+    if not driven.all():
+        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
+    scale(axes)
+
+
+def _size_of(prior_map: SegmentMap) -> str:
+    """Describe the extent of a map."""
+    x, y, z = prior_map.info()["extent_m"]
+    return f"map {x:.0f} x {y:.0f} x {z:.0f} m, {len(prior_map)} segments"
 
 
 def _extent(prior_map: SegmentMap, evaluation: Evaluation) -> tuple[Float64, Float64]:
@@ -100,7 +122,7 @@ def _extent(prior_map: SegmentMap, evaluation: Evaluation) -> tuple[Float64, Flo
 def _figure_size(extent: Float64) -> tuple[float, float]:
     shape = extent / extent.max() * _LONG_SIDE_IN
     width, height = np.maximum(shape, _SHORT_SIDE_IN)
-    return float(max(width, 7.0)), float(height) / 0.95
+    return float(max(width, 7.0)), float(height) + _HEADING_IN
 
 
 def _draw_path(axes: Axes, path: Float64, **style: Any) -> None:
@@ -154,10 +176,12 @@ def _reasons(evaluation: Evaluation) -> Iterable[tuple[str, Bools]]:
     return [(str(names[k]), text == names[k]) for k in order]
 
 
-def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
-    """Draw the errors over the distance travelled, and the true trajectory coloured by them.
+def draw_errors(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
+    """Draw the errors over the distance travelled, and on the map beside it.
 
-    Queries that were not localized are ticks below; false ones are red, and clipped if far off.
+    Queries that were not localized are ticks below, and hollow on the map. False ones are red, and
+    clipped if far off.
+
     Returns
     -------
     bytes
@@ -174,16 +198,16 @@ def draw_errors(evaluation: Evaluation, heading: str) -> bytes:
         raise SeglocError("errors need the true poses: pass --truth")
     figure = blank(_ERRORS_SIZE_IN, _ERRORS_DPI)
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.93))
-    charts, ground = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    charts, ground = figure.subplots(1, 2, width_ratios=(1.2, 1))
     charts.remove()
     grid = charts.get_gridspec()[0, 0].subgridspec(2, 1)
     way = travelled(evaluation.truths)
     upper = figure.add_subplot(grid[0])
     lower = figure.add_subplot(grid[1], sharex=upper)
-    _curve(upper, way, evaluation, evaluation.translation_error, "error, m")
-    _curve(lower, way, evaluation, evaluation.rotation_error, "error, degrees")
+    _curve(upper, way, evaluation, evaluation.translation_error, "position error", "m")
+    _curve(lower, way, evaluation, evaluation.rotation_error, "rotation error", "deg")
     lower.set_xlabel("distance travelled, m", fontsize=TEXT_PT, color=DARK)
-    _path(ground, evaluation)
+    _draw_errors_on_map(ground, prior_map, evaluation)
     title(figure, heading, 0.96)
     return png(figure)
 
@@ -194,34 +218,45 @@ def travelled(truths: Float64) -> Float64:
     return np.concatenate([[0.0], np.cumsum(np.where(steps > PATH_BREAK_M, 0.0, steps))])
 
 
-def _curve(axes: Axes, way: Float64, evaluation: Evaluation, errors: Float64, ylabel: str) -> None:
-    chart(axes, ylabel=ylabel)
-    right = evaluation.correct
+def _curve(
+    axes: Axes, way: Float64, evaluation: Evaluation, errors: Float64, name: str, unit: str
+) -> None:
+    chart(axes, ylabel=f"{name}, {unit}")
+    right, false, refused = evaluation.correct, evaluation.false, ~evaluation.localized
     top = 1.25 * float(errors[right].max()) if right.any() else 1.0
     axes.vlines(way[right], 0.0, errors[right], color=GREY, lw=1.0)
     axes.plot(way[right], errors[right], ".", ms=6, color=GREEN)
-    false = evaluation.false
     axes.plot(way[false], np.minimum(errors[false], 0.97 * top), "^", ms=6, color=RED)
-    axes.plot(way[~evaluation.localized], np.zeros((~evaluation.localized).sum()), "|", color=DARK)
+    axes.plot(way[refused], np.zeros(refused.sum()), "|", color=DARK)
     if right.any():
-        middle = float(np.median(errors[right]))
+        middle, most = np.percentile(errors[right], [50, 95])
         axes.axhline(middle, color=DARK, lw=0.8, ls="--")
-        text = f"median {middle:.3f}, 95 % {np.percentile(errors[right], 95):.3f}"
+        text = f"median {middle:.3f} {unit}, 95 % below {most:.3f} {unit}"
         axes.set_title(text, loc="right", fontsize=TEXT_PT, color=DARK)
     axes.set_ylim(-0.04 * top, top)
 
 
-def _path(axes: Axes, evaluation: Evaluation) -> None:
+def _draw_errors_on_map(axes: Axes, prior_map: SegmentMap, evaluation: Evaluation) -> None:
     assert evaluation.truths is not None
     at, right = evaluation.truths[:, :2, 3], evaluation.correct
-    plan(axes, at.min(axis=0) - _ERRORS_MARGIN_M, at.max(axis=0) + _ERRORS_MARGIN_M)
-    axes.plot(*at.T, color=GREY, lw=1.0, zorder=1)
-    hollow: dict[str, Any] = {"s": 22, "facecolors": "white", "edgecolors": DARK, "lw": 0.8}
-    axes.scatter(*at[~evaluation.localized].T, zorder=2, **hollow)
-    dots(axes, at[evaluation.false], s=26, color=RED, marker="^", zorder=4)
+    _draw_map(axes, prior_map, *_extent(prior_map, evaluation))
     errors = evaluation.translation_error[right]
-    x, y = at[right].T
-    shown = axes.scatter(x, y, c=errors, cmap="viridis", s=22, vmin=0.0, zorder=3)
-    bar = axes.figure.colorbar(shown, ax=axes, shrink=0.7)
-    bar.set_label("error, m", fontsize=TEXT_PT, color=DARK)
-    scale(axes)
+    for chosen, name, style in (
+        (right, "localized", {"c": errors, "cmap": "viridis", "vmin": 0.0, "zorder": 3}),
+        (evaluation.false, "false", {"color": RED, "marker": "^", "zorder": 4}),
+        (
+            ~evaluation.localized,
+            "not localized",
+            {"facecolors": "white", "edgecolors": DARK, "linewidths": 0.8, "zorder": 2},
+        ),
+    ):
+        shown = dots(axes, at[chosen], s=26, label=f"{name} ({int(chosen.sum())})", **style)
+        if chosen is right:
+            bar = axes.figure.colorbar(shown, ax=axes, location="bottom", shrink=0.7, aspect=40)
+            bar.set_label("position error, m", fontsize=TEXT_PT, color=DARK)
+            bar.ax.tick_params(labelsize=SMALL_PT, colors=DARK)
+    names, labels = axes.get_legend_handles_labels()
+    axes.legend(
+        names[-3:], labels[-3:], loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3,
+        frameon=False, fontsize=SMALL_PT, labelcolor=DARK, columnspacing=1.0, handletextpad=0.2,
+    )  # fmt: skip

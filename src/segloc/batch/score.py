@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..localization import Localization
-from ..map.segment_map import CLOUD, SOURCE, SegmentMap
+from ..map.info import CLOUD, SOURCE
+from ..map.segment_map import SegmentMap
 from ..types import Bools, Float64, Int64
 
 COVERAGE_RADIUS_M = 3.0
@@ -49,7 +50,7 @@ RECORD = {
     "message": "the reason as a sentence with its figures; empty when localized",
     "T_map_sensor": "4 rows of 4 numbers, or null",
     "covariance": "6 rows of 6 numbers, or null: covariance of `T_map_sensor`, of a small rotation "
-    "[rad], then a translation [m], both in the sensor's frame",
+    "[rad], then a translation [m], both in the sensor's frame; six digits",
     "attitude": "source of the query's roll and pitch: `given` (a pose or gravity), `estimated` "
     "(from the scan) or `assumed`",
     "inliers": "distinct query segments that agree with the best pose",
@@ -296,7 +297,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
         "T_map_sensor": _nested(result.T_map_sensor),
-        "covariance": _nested(result.covariance),
+        "covariance": _rounded(result.covariance),
         "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
@@ -320,6 +321,13 @@ def _record(result: Localization) -> dict[str, Any]:
 
 def _nested(matrix: Float64 | None) -> list[list[float]] | None:
     return None if matrix is None else np.asarray(matrix, dtype=np.float64).tolist()
+
+
+def _rounded(matrix: Float64 | None) -> list[list[float]] | None:
+    """Return rows of numbers of six digits, each row a short line."""
+    if matrix is None:
+        return None
+    return [[float(f"{value:.6g}") for value in row] for row in matrix]
 
 
 def _finite(value: float | None) -> float | None:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import ConfigError, DatasetError, MapMismatch, MissingDependency
+from ..system.text import number
 from . import options
-from .console import note, number, progress, table
+from .console import note, progress, table
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

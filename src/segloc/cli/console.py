@@ -18,7 +18,8 @@ Update = Callable[[int, int], None]
 def progress(label: str) -> Iterator[Update]:
     """Show a progress bar on stderr, advanced by calling ``update(done, total)``.
 
-    Without a terminal, print a line at most every ``SECONDS_A_LINE``.
+    Without a terminal, print a line at most every ``SECONDS_A_LINE``, and one at the end of work
+    that takes longer.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -36,7 +37,6 @@ def progress(label: str) -> Iterator[Update]:
         count,
         TimeRemainingColumn(),
         console=console,
-        transient=True,
     ) as bars:
         task = bars.add_task(label, total=None, count="")
 
@@ -47,13 +47,13 @@ def progress(label: str) -> Iterator[Update]:
 
 
 def _lines(label: str) -> Update:
-    last = time.monotonic()
+    last, has_begun = time.monotonic(), False
 
     def update(done: int, total: int) -> None:
-        nonlocal last
+        nonlocal last, has_begun
         now = time.monotonic()
-        if now - last >= SECONDS_A_LINE and done < total:
-            last = now
+        if has_begun if done == total else now - last >= SECONDS_A_LINE:
+            last, has_begun = now, done < total
             say(f"{label}: {done} of {total}")
 
     return update
@@ -110,8 +110,3 @@ def table(
     for row in rows:
         shown.add_row(*row)
     console.print(shown)
-
-
-def number(value: float | None, unit: str = "", digits: int = 2) -> str:
-    """Format a number with its unit, or a dash for None."""
-    return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"

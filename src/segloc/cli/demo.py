@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .console import number, progress, table
+from ..system.text import number
+from .console import progress, table
 
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
@@ -33,7 +34,7 @@ def demo(
     from ..config import Config
     from ..localizer import Localizer
     from ..map.build import build_map
-    from .results import check_folder, write_results
+    from .results import check_folder, pictures, write_results
 
     check_folder(out)
     with progress("Building the map") as update:
@@ -41,13 +42,13 @@ def demo(
     localizer = Localizer(prior_map)
     again = _evaluate(localizer, sample.load("tuesday"), "Another day", 0.0)
     other = _evaluate(localizer, sample.load("elsewhere"), "Another town", FAR_AWAY_M)
-    write_results(out / "revisit", prior_map, again, "Another day in the mapped town")
-    write_results(out / "elsewhere", prior_map, other, None)
+    drawn = pictures(prior_map, again, "Another day in the mapped town")
+    write_results(out / "revisit", prior_map, again, drawn)
+    write_results(out / "elsewhere", prior_map, other, {})
     prior_map.save(out / "town.segmap")
     _show(again.summary(), other.summary(), f"The sample, descriptor {prior_map.descriptor}")
-    picture = out / "revisit" / "trajectory.png"
-    drawn = f", picture with the answers: {picture}" if picture.is_file() else ""
-    print(f"Map: {out}/town.segmap{drawn}")
+    picture = f", picture with the answers: {out}/revisit/trajectory.png" if drawn else ""
+    print(f"Map: {out}/town.segmap{picture}")
 
 
 def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: float) -> Evaluation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,12 +22,20 @@ def doctor(
     select: options.Select = None,
     topic: options.Topic = None,
     sample: options.Sample = 20,
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a page with pictures.", show_default="none"),
+    ] = None,
     config: options.ConfigFile = None,
 ) -> None:
     """Check a recording and suggest fixes; exits 1 if anything is wrong.
 
     Checks units, axes and tilt of the scans, and whether neighbouring clouds match at the poses.
     """
+    from ..system.files import checked_target, write_text
+
+    if html is not None:
+        checked_target(html)
     recording, found = examined(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
     scans = counted(len(recording), "scans")
@@ -35,6 +43,14 @@ def doctor(
     show_findings(found)
     if poses is None:
         show_pose_files(sequence, recording)
+    if html is not None:
+        from .doctor_page import page
+
+        with busy("Drawing"):
+            write_text(
+                html, page(recording, found, options.load_config(config, None, 1).local_cloud)
+            )
+        print(f"{html}: open it in a browser")
     if wrong:
         raise typer.Exit(1)
     print("no problems found")

@@ -36,13 +36,14 @@ def explain(
     ] = None,
     poses: options.Poses = None,
     topic: options.Topic = None,
+    odometry: options.Odometry = False,
     config: options.ConfigFile = None,
     weights: options.Weights = None,
     threads: options.Threads = 0,
 ) -> None:
     """Show the stages of one query, and why it is or is not localized.
 
-    With poses, the query is a cloud accumulated over the path behind the scan.
+    With poses or --odometry, the query is a cloud accumulated over the path behind the scan.
     """
     import numpy as np
 
@@ -57,7 +58,7 @@ def explain(
     with busy("Loading the map"):
         localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
     local = localizer.config.local_cloud
-    recording = open_recording(scan, poses, topic=topic, mount=local.mount)
+    recording = open_recording(scan, poses, topic=topic, odometry=odometry, mount=local.mount)
     position = _position(recording, select)
     name = f"{recording.name}, scan {recording.indices[position]}, in {prior_map.name}"
     with busy("Localizing"):
@@ -92,19 +93,24 @@ def _findings(
     config: LocalCloudConfig,
     prior_map: SegmentMap | None,
 ) -> list[str]:
-    """Return the findings of `segloc doctor` on that scan; in a map if it is not localized."""
+    """Return the findings of `segloc doctor` on a scan: faults, and advice if it has no pose.
+
+    ``prior_map`` is that of a query that is not localized.
+    """
     from ..doctor import map_finding, scan_findings
 
     scan = recording.scan(position)
     found = scan_findings([scan], config, posed=recording.poses is not None)
-    if prior_map is not None and not any(finding.wrong for finding in found):
+    if prior_map is None:
+        found = [finding for finding in found if finding.wrong]
+    elif not any(finding.wrong for finding in found):
         in_map = map_finding([scan], prior_map, config)
         found = [*([in_map] if in_map else []), *found]
     return [f"{'problem' if finding.wrong else 'note'}: {finding}" for finding in found]
 
 
 def _show(trace: Trace, findings: list[str]) -> None:
-    from ..inspect import steps, summarize
+    from ..inspect import confidence_tables, steps, summarize
 
     print(summarize(trace))
     for line in findings:
@@ -112,9 +118,12 @@ def _show(trace: Trace, findings: list[str]) -> None:
     print()
     for name, outcome in steps(trace):
         print(f"  {name:<10} {outcome}")
-    if not trace.parts:
-        return
-    print(f"\nconfidence {trace.result.confidence:.2f}, in log-odds:")
-    print(f"  {trace.constant:+5.1f}  prior")
-    for part in trace.parts:
-        print(f"  {part.log_odds:+5.1f}  {part.words}")
+    tables = confidence_tables(trace)
+    if tables:
+        together = trace.prior + sum(part.log_odds for part in trace.parts)
+        confidence = trace.result.confidence
+        print(f"\nevidence, in log-odds: {together:+.1f} together, confidence {confidence:.2f}")
+    for title, rows in tables:
+        print(f"\n  {title}")
+        for log_odds, label, words in rows:
+            print(f"    {log_odds:>5}  {label:<13} {words}")

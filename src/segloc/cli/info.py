@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..system.text import counted
+from ..system.text import counted, number
 from . import options
-from .console import number, table
+from .console import table
 
 if TYPE_CHECKING:
     from ..datasets import RecordedSequence
@@ -30,14 +30,13 @@ def info(
         show_pose_files(sequence, recording)
 
 
-def show(recording: RecordedSequence, examination: Examination) -> None:
-    """Print a recording's facts as a table, followed by its problems."""
+def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[str, str]]:
+    """Return the facts about a recording in words, with units."""
     from ..datasets.inspection import UNUSABLE
-    from .doctor import show_findings
 
     found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
     first, last = int(recording.indices[0]), int(recording.indices[-1])
-    rows = [
+    return [
         ("format", recording.format),
         ("sensor", found.sensor),
         ("frame of points", recording.frame),
@@ -55,5 +54,11 @@ def show(recording: RecordedSequence, examination: Examination) -> None:
         ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
         ("problems", str(wrong) if wrong else "none found"),
     ]
-    table(recording.name, ("", ""), rows)
+
+
+def show(recording: RecordedSequence, examination: Examination) -> None:
+    """Print a recording's facts as a table, followed by its problems."""
+    from .doctor import show_findings
+
+    table(recording.name, ("", ""), facts(recording, examination))
     show_findings(examination)

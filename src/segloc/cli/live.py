@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from ..errors import ConfigError
+from ..system.text import number
 from . import options
-from .console import note, number, progress, say, table
+from .console import note, progress, say, table
 
 if TYPE_CHECKING:
     from ..live import State
@@ -172,7 +173,7 @@ def _poses(recording: Scans, played: Replay) -> bytes:
 
 
 def _show(facts: dict[str, Any], title: str) -> None:
-    from .results import error_rows
+    from ..batch.report import error_rows
 
     rows = [
         ("scans", f"{facts['scans']}, {facts['dropped']} dropped"),

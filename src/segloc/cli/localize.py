@@ -29,6 +29,12 @@ def localize(
             metavar="DIR", help="Output folder.", show_default="none: results are printed"
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write a page with pictures to pass on.", show_default="none"
+        ),
+    ] = None,
     debug: Annotated[
         bool, typer.Option("--debug", help="Also store the stages of each query for `segloc view`.")
     ] = False,
@@ -59,6 +65,7 @@ def localize(
     the pose and its confidence, or the reason why the query is not localized.
     """
     from ..batch.score import Evaluation, Tolerance
+    from ..system.files import checked_target
     from ..system.processes import executing
     from ..tiles import open_map
     from .queries import Queries, gnss_priors, localize_in_detail, query_positions, show_results
@@ -66,6 +73,8 @@ def localize(
 
     options.check_every(every)
     place = options.parsed_prior(near, radius, anywhere)
+    if html is not None:
+        checked_target(html)
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer = options.open_localizer(open_map(prior_map), config, threads, weights)
@@ -90,7 +99,7 @@ def localize(
     indices = recording.indices[positions]
     evaluation = Evaluation(indices, results, prior, known, tolerance)
     name = prior_map.rstrip("/").rsplit("/", 1)[-1]
-    show_results(queries, evaluation, name, out, kept, json)
+    show_results(queries, evaluation, name, out, html, kept, json)
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ..system.text import number
 from . import options
-from .console import number, progress, table
+from .console import progress, table
 
 
 def odometry(

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..batch import run
+from ..batch import report, run
 from ..batch.score import Evaluation
 from ..datasets.fixes import read_fixes
 from ..doctor import hint
 from ..errors import ConfigError
-from ..inspect.trace import pose_text
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.georeference import Georeference
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..system.text import counted
+from ..system.files import write_text
 from ..tiles import TiledLocalizer
 from ..types import Float64, Int64, Recording
-from .console import Update, busy, note, number, table
-from .results import error_rows, print_json, write_results
+from .console import Update, busy, note, table
+from .results import pictures, print_json, write_results
 
 _MAX_ROWS = 20
 _MAX_EXCLUDED = 0.5  # share of queries, up to which the prior is not named as the cause
@@ -125,15 +122,18 @@ def show_results(
     evaluation: Evaluation,
     name: str,
     out: Path | None,
+    html: Path | None,
     kept: dict[str, bytes],
     json: bool,
 ) -> None:
     """Write and print the results, with a hint on failures."""
     recording, localizer, written = queries.recording, queries.localizer, list[str]()
-    if out is not None:
-        title = f"{recording.name} in {Path(name).stem}"
+    title, drawn = f"{recording.name} in {Path(name).stem}", dict[str, bytes]()
+    if out is not None or html is not None:
         with busy("Drawing"):
-            written = write_results(out, localizer.prior_map, evaluation, title, kept)
+            drawn = pictures(localizer.prior_map, evaluation, title)
+    if out is not None:
+        written = write_results(out, localizer.prior_map, evaluation, {**kept, **drawn})
     if json:
         print_json(evaluation)
     else:
@@ -150,85 +150,25 @@ def show_results(
         )
     if line:
         note(line)
+    if html is not None:
+        write_text(html, report.page(evaluation, title, drawn, [line] if line else []))
+        if not json:
+            print(f"{html}: open it in a browser")
 
 
 def _show_answers(evaluation: Evaluation, title: str) -> None:
     """Print one result as a line, several as a table with the worst first and a summary."""
     if len(evaluation) == 1:
-        print(sentence(evaluation.results[0]))
+        print(report.sentence(evaluation.results[0]))
     else:
-        order = _worst_first(evaluation)
-        rows = [_row(evaluation, i) for i in order[:_MAX_ROWS]]
-        table(title, ("query", "confidence", "pose / reason"), rows, texts=(0, 2))
+        order = report.worst_first(evaluation)
+        rows = [report.answer_row(evaluation, i) for i in order[:_MAX_ROWS]]
+        table(title, report.ANSWER_COLUMNS, rows, texts=(0, 2))
         if len(order) > _MAX_ROWS:
             more = len(order) - _MAX_ROWS
-            print(f"{more} more with higher confidence; --out DIR or --json has all")
+            print(f"{more} more with higher confidence; --out DIR, --html FILE or --json has all")
     if len(evaluation) > 1 or evaluation.truths is not None:
-        _show_summary(evaluation.summary(), title)
-
-
-def _worst_first(evaluation: Evaluation) -> Sequence[int]:
-    """Order queries: false ones, those not localized, then the localized ones.
-
-    False ones are sorted by falling confidence, the others by rising confidence; ties, as
-    displayed, keep their order.
-    """
-    results, false = evaluation.results, evaluation.false
-
-    def rank(i: int) -> tuple[int, float, int]:
-        confidence = round(results[i].confidence, 2)
-        if false[i]:
-            return 0, -confidence, i
-        return (2 if results[i].localized else 1), confidence, i
-
-    return sorted(range(len(results)), key=rank)
-
-
-def _row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
-    result = evaluation.results[i]
-    text = result.message if not result.localized else pose_text(result.T_map_sensor)
-    if evaluation.false[i]:
-        text = f"FALSE, {evaluation.translation_error[i]:.1f} m off: {text}"
-    return str(int(evaluation.indices[i])), f"{result.confidence:.2f}", text
-
-
-def sentence(result: Localization) -> str:
-    """Describe the result of a query in one line."""
-    agree = counted(result.inliers, "segments", "agree")
-    measured = f"{agree}, {result.overlap:.0%} of the cloud lies on the map"
-    if result.proposer not in (None, "segments"):
-        measured += f"; proposed by {result.proposer}"
-    if result.localized:
-        pose = pose_text(result.T_map_sensor)
-        return f"localized at {pose}; confidence {result.confidence:.2f} ({measured})"
-    return f"not localized: {result.message}; confidence {result.confidence:.2f}"
-
-
-def _show_summary(summary: dict[str, Any], title: str) -> None:
-    """Print a summary as a table."""
-    sources = ", ".join(f"{count} {name}" for name, count in summary["attitude"].items())
-    rows = [("queries", str(summary["queries"])), ("roll and pitch", sources or "-")]
-    rows.append(("localized", str(summary["localized"])))
-    if summary["correct"] is not None:
-        rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
-        if covered := summary["within_coverage"]:
-            found = f"{summary['within_coverage_correct']} of {covered}"
-            rows.append(("correct, of those within map coverage", found))
-        else:
-            rows.append(("within map coverage", "none"))
-        rows += error_rows(summary)
-    rows.append(("not localized", str(summary["not_localized"])))
-    rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
-    rows.append(("time per query, median", number(summary["ms"]["total"], "ms", 1)))
-    table(title, ("", ""), rows)
-
-
-def _grouped(reasons: dict[str, int]) -> list[tuple[str, int]]:
-    """Count reasons without the numbers in brackets, the most frequent first."""
-    counts = Counter[str]()
-    for reason, count in reasons.items():
-        counts[reason.split(" (")[0]] += count
-    return counts.most_common()
+        table(title, ("", ""), report.summary_rows(evaluation.summary()))
 
 
 def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:

@@ -14,14 +14,16 @@ import numpy as np
 from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
-from ..map.segment_map import CLOUD_FRAME, SegmentMap
+from ..map.info import CLOUD_FRAME
 from ..system.files import checked_target, replacing
 from ..system.locks import exclusive
+from ..system.text import json_text
 from ..types import Float64, Int64
-from .console import note, number
+from .console import note
 
 if TYPE_CHECKING:
     from ..batch.score import Evaluation
+    from ..map.segment_map import SegmentMap
 
 
 def check_folder(out: Path) -> None:
@@ -32,46 +34,42 @@ def check_folder(out: Path) -> None:
 
 
 def write_results(
-    out: Path,
-    prior_map: SegmentMap,
-    evaluation: Evaluation,
-    title: str | None,
-    more: Mapping[str, bytes] | None = None,
+    out: Path, prior_map: SegmentMap, evaluation: Evaluation, more: Mapping[str, bytes]
 ) -> list[str]:
-    """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json`` and ``trajectory.png``.
-
-    With true poses also ``errors.png``. There are no pictures without a title. ``more`` are other
-    files, by their names in the folder.
+    """Write ``poses.tum``, ``localizations.jsonl``, ``summary.json``, and ``more`` files.
 
     Returns
     -------
     list of str
         Names of the files, and of folders of others.
     """
-    files = {**_contents(evaluation, prior_map), **(more or {})}
-    if title is not None:
-        try:
-            files |= _pictures(prior_map, evaluation, title)
-        except MissingDependency as error:
-            note(f"trajectory.png not written: {error}")
+    files = {**_contents(evaluation, prior_map), **more}
     write_together(out, files)
     tops = (name.partition("/") for name in files)
     return list(dict.fromkeys(top + slash for top, slash, _ in tops))
 
 
-def _pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[str, bytes]:
+def pictures(prior_map: SegmentMap, evaluation: Evaluation, title: str) -> dict[str, bytes]:
+    """Draw ``trajectory.png``, and with true poses ``errors.png``.
+
+    Without matplotlib nothing is drawn, and a note says so.
+    """
     from ..batch.picture import draw, draw_errors
 
-    drawn = {"trajectory.png": draw(prior_map, evaluation, title)}
-    if evaluation.truths is not None and evaluation.correct.any():
-        drawn["errors.png"] = draw_errors(evaluation, title)
+    try:
+        drawn = {"trajectory.png": draw(prior_map, evaluation, title)}
+        if evaluation.truths is not None and evaluation.correct.any():
+            drawn["errors.png"] = draw_errors(prior_map, evaluation, title)
+    except MissingDependency as error:
+        note(f"trajectory.png not written: {error}")
+        return {}
     return drawn
 
 
 def print_json(evaluation: Evaluation) -> None:
     """Print the results and their summary as one JSON object."""
     found = {"summary": evaluation.summary(), "queries": list(evaluation.records())}
-    print(json.dumps(found, indent=2, allow_nan=False))
+    print(json_text(found))
 
 
 def frame_facts(prior_map: SegmentMap) -> dict[str, Any]:
@@ -103,16 +101,6 @@ def tum_bytes(numbers: Int64, stamps: Float64 | None, poses: Float64) -> bytes:
         path = Path(folder) / "poses.tum"
         write_tum(path, Trajectory(keys, poses), remark)
         return path.read_bytes()
-
-
-def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of position and rotation errors."""
-    rows = []
-    for kind, unit in (("translation", "m"), ("rotation", "deg")):
-        spread = summary[f"{kind}_error_{unit}"]
-        pair = f"{number(spread['median'], unit)} / {number(spread['p95'], unit)}"
-        rows.append((f"{kind} error, median / 95 %", pair))
-    return rows
 
 
 def _poses(evaluation: Evaluation) -> bytes:

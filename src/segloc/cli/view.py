@@ -36,7 +36,7 @@ def view(
     """Show a map and the queries in it in the browser.
 
     Queries stored by `segloc localize --debug` are shown with their cloud on the map, segments,
-    matches (inliers are green), runner-up, and parts of the confidence. The robot of `segloc live`
+    matches (inliers are green), runner-up, and evidence. The robot of `segloc live`
     is followed during a run.
     """
     from ..inspect import viewer

@@ -1,6 +1,7 @@
 """Diagnose recordings: measure their faults and name the remedies."""
 
 from .body_in_view import body_findings as body_findings
+from .faulty import faulty_points as faulty_points
 from .finding import Fault as Fault
 from .finding import Finding as Finding
 from .pose_faults import pose_findings as pose_findings

@@ -51,7 +51,7 @@ def body_findings(scans: Sequence[Scan], config: LocalCloudConfig) -> list[Findi
     what = f"{share:.1%} of the points move with the sensor: on the robot, or on somebody beside it"
     corners = [[round(float(metres), 2) for metres in corner] for corner in box]
     remedy = f"drop them in the configuration, `local_cloud: {{body: {corners}}}`"
-    return [Finding(Fault.BODY_IN_VIEW, what, remedy, wrong=False)]
+    return [Finding(Fault.BODY_IN_VIEW, what, remedy, wrong=False, box=box)]
 
 
 def _standing(scan: Scan, config: LocalCloudConfig) -> Float32:

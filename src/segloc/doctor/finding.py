@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from ..frontend.local_cloud import Corner
+
 
 class Fault(str, Enum):
     """Faults of recordings."""
@@ -42,12 +44,29 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One remark on a recording."""
+    """One remark on a recording.
+
+    Attributes
+    ----------
+    fault : Fault
+    what : str
+        What was measured.
+    remedy : str
+        "" if ``what`` includes it.
+    wrong : bool
+        True for a fault that prevents success, False for advice.
+    box : pair of corners, optional
+        Box of the faulty points, in the sensor's frame [m].
+    scans : (int, int), optional
+        Positions of two scans that disagree at their poses.
+    """
 
     fault: Fault
-    what: str  # what was measured
-    remedy: str = ""  # "" if ``what`` includes it
-    wrong: bool = True  # True for a fault that prevents success, False for advice
+    what: str
+    remedy: str = ""
+    wrong: bool = True
+    box: tuple[Corner, Corner] | None = None
+    scans: tuple[int, int] | None = None
 
     def __str__(self) -> str:
         return f"{self.what}: {self.remedy}" if self.remedy else self.what

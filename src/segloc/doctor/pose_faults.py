@@ -8,7 +8,7 @@ better is reported; so are poses if no reading fits.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -172,6 +172,7 @@ _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
 class Fit:
     """Agreement of two neighbouring clouds: shares of points with another one nearby."""
 
+    scans: tuple[int, int]
     as_is: float  # at their poses
     read: Float64  # (R,) at the poses read as each of ``READINGS``
     chance: float  # at the poses shifted by some metres
@@ -201,13 +202,14 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
     read = np.mean([fit.read for fit in fits], axis=0)
     if recording.poses is None or _unit(recording.poses) == 1.0:
         read[MILLIMETRES] = 0.0  # any clouds in one spot agree somewhat
-    best = int(read.argmax())
+    best, scans = int(read.argmax()), min(fits, key=lambda fit: fit.as_is).scans
     better = float(np.mean([fit.read[best] > fit.as_is for fit in fits]))
     if read[best] - as_is > max(_MIN_GAIN, _MIN_SHARE * (1.0 - as_is)) and better > 0.5:
         reading = READINGS[best]
         measure = f"{read[best]:.0%} of neighbouring clouds agree then, {as_is:.0%} as they are"
-        return [Finding(reading.fault, f"{reading.what} ({measure})", reading.remedy)]
-    return _smear(fits)
+        what = f"{reading.what} ({measure})"
+        return [Finding(reading.fault, what, reading.remedy, scans=scans)]
+    return [replace(finding, scans=scans) for finding in _smear(fits)]
 
 
 def _smear(fits: list[Fit]) -> list[Finding]:
@@ -246,7 +248,8 @@ def measured(recording: Recording, config: LocalCloudConfig | None = None) -> li
         except DatasetError:
             continue
         if min(len(target), len(source)) >= MIN_POINTS and not geometry.in_one_plane(target):
-            fits.append(_fit(target, source, [geometry.inverse(T[i]) @ T[j] for T in meant]))
+            steps = [geometry.inverse(T[i]) @ T[j] for T in meant]
+            fits.append(_fit((i, j), target, source, steps))
     return fits
 
 
@@ -256,7 +259,7 @@ def most_turned_deg(recording: Recording, config: LocalCloudConfig) -> float:
     return _SHARED_VIEW * view_deg if view_deg < NARROW_DEG else 180.0
 
 
-def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
+def _fit(scans: tuple[int, int], target: Float32, source: Float32, steps: list[Pose]) -> Fit:
     """Fit two clouds at several poses of the second in the first; the first pose is as is."""
     index = _native.PointIndex(target, _NEAR_M)
     sample = source[:: 1 + len(source) // _SAMPLE].copy()
@@ -271,6 +274,7 @@ def _fit(target: Float32, source: Float32, steps: list[Pose]) -> Fit:
     aside = [geometry.yaw_transform(0.0, (x, y, 0.0)) @ steps[0] for x, y in _ASIDE_M]
     shares = share(steps)
     return Fit(
+        scans=scans,
         as_is=float(shares[0]),
         read=shares[1:],
         chance=float(share(aside).mean()),

@@ -127,6 +127,8 @@ class Offset:
         Recording, and positions of the first and last scan.
     place : (2,) float64
         Middle of the pass, x and y [m].
+    scans : (int, int)
+        Positions of the two scans there, the earlier first.
     """
 
     off_m: float
@@ -135,6 +137,7 @@ class Offset:
     later: tuple[int, int, int]
     earlier: tuple[int, int, int]
     place: Float64
+    scans: tuple[int, int]
 
     def exceeds(self, off_m: float, turn_deg: float) -> bool:
         """Return whether the offset is larger."""
@@ -180,10 +183,11 @@ def offsets(
         if len(measured) >= _MIN_PAIRS:
             off_m, turn_deg = np.median(measured, axis=0)
             earlier, later = (_extent(stations, column) for column in part.T)
-            place = stations.poses[part[len(part) // 2, 1], :2, 3]
-            found.append(
-                Offset(float(off_m), float(turn_deg), len(measured), later, earlier, place)
-            )
+            first, second = (int(k) for k in part[len(part) // 2])
+            place = stations.poses[second, :2, 3]
+            scans = int(stations.scan[first]), int(stations.scan[second])
+            size = float(off_m), float(turn_deg), len(measured)
+            found.append(Offset(*size, later, earlier, place, scans))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -219,7 +223,7 @@ def _finding(offset: Offset, recordings: Sequence[Recording], wrong: bool) -> Fi
         f"same place, around x {x:.0f}, y {y:.0f} (median of {offset.count} clouds)"
     )
     remedy = "the map would show things twice there: `segloc align` joins the passes"
-    return Finding(Fault.PASSES_APART, what, remedy, wrong)
+    return Finding(Fault.PASSES_APART, what, remedy, wrong, scans=offset.scans)
 
 
 def _scans(extent: tuple[int, int, int], recordings: Sequence[Recording]) -> str:

@@ -197,8 +197,7 @@ def _beams(scans: Sequence[Scan], posed: bool) -> Finding | None:
     return Finding(
         Fault.FEW_BEAMS,
         f"{found.beams} beams and no poses: a single scan shows little",
-        "with --odometry or --poses FILE queries are accumulated from several scans, and found "
-        "far more often",
+        "a query of several scans, of a recording with poses or --odometry, is found more often",
         wrong=False,
     )
 

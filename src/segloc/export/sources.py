@@ -14,7 +14,8 @@ from ..errors import DatasetError, InvalidScan
 from ..io import Trajectory, read_trajectory
 from ..io.scans import read_file
 from ..map.georeference import KEY, Georeference
-from ..map.segment_map import CLOUD_FRAME, SegmentMap
+from ..map.info import CLOUD_FRAME
+from ..map.segment_map import SegmentMap
 from ..system.checks import checked_pose
 from ..types import Float64, Pose
 

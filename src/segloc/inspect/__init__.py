@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .evidence import Part as Part
 from .pictures import DARK as DARK
 from .pictures import GREEN as GREEN
 from .pictures import GREY as GREY
@@ -13,8 +14,8 @@ from .pictures import blank as blank
 from .pictures import legend as legend
 from .pictures import plan as plan
 from .pictures import png as png
-from .trace import Part as Part
 from .trace import Trace as Trace
+from .trace import confidence_tables as confidence_tables
 from .trace import steps as steps
 from .trace import summarize as summarize
 from .trace import trace as trace

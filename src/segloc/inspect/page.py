@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Sequence
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,65 +10,38 @@ import numpy as np
 from .. import geometry
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Pose
+from . import html
 from .pictures import DARK, GREEN, GREY, ORANGE, RED, blank, dots, hue, plan, png, scale
-from .trace import Trace, steps, summarize
+from .trace import Trace, confidence_tables, steps, summarize
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222b38; max-width: 1260px; margin: 2em auto;
-  padding: 0 1em }
-h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 1.6em 0 .4em }
-.found, .lost { font-weight: 600 } .found { color: #0d7a3c } .lost { color: #b81d30 }
-table { border-collapse: collapse } td { padding: .15em 1em .15em 0; vertical-align: top }
-td.number { text-align: right; font-variant-numeric: tabular-nums }
-.pictures { display: grid; gap: 1em; margin: 1.2em 0;
-  grid-template-columns: repeat(auto-fill, minmax(min(380px, 100%), 1fr)) }
-figure { margin: 0 } img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
-figcaption { font-size: .85em; color: #59637a }
-"""
 _RADIUS_M = 50.0
 _SIZE_IN, _DPI = 6.0, 100
 
 
 def page(trace: Trace, findings: Sequence[str]) -> str:
-    """Return HTML with the result, each stage in text and pictures, and parts of the confidence.
+    """Return HTML with the result, each stage in text and pictures, and the evidence.
 
     Raises
     ------
     MissingDependency
         If matplotlib is not installed.
     """
-    kind = "found" if trace.result.localized else "lost"
-    figures = "".join(
-        f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
-        f'{base64.b64encode(image).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
-        for caption, image in pictures(trace)
+    evidence = "".join(
+        f"<h3>{title}</h3>{html.table(rows)}" for title, rows in confidence_tables(trace)
     )
-    parts = [(f"{part.log_odds:+.1f}", part.words) for part in trace.parts]
-    if parts:
-        parts.insert(0, (f"{trace.constant:+.1f}", "prior"))
-    noted = "".join(f"<p>{escape(line)}</p>" for line in findings)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(trace.name)}</title>"
-        f"<style>{_STYLE}</style><h1>{escape(trace.name)}</h1>"
-        f'<p class="{kind}">{escape(summarize(trace))}</p>{noted}'
-        f"<h2>Stage by stage</h2>{_table(steps(trace))}"
-        f'<div class="pictures">{figures}</div>'
-        f"<h2>Parts of the confidence</h2>{_table(parts, 'number')}</html>"
+    return html.document(
+        trace.name,
+        summarize(trace),
+        trace.result.localized,
+        html.paragraphs(findings),
+        f"<h2>Stage by stage</h2>{html.table(steps(trace))}",
+        f"<h2>Evidence, in log-odds</h2>{evidence}" if evidence else "",
+        html.pictures(pictures(trace)),
     )
-
-
-def _table(rows: Sequence[tuple[str, str]], kind: str = "name") -> str:
-    cells = (
-        f'<tr><td class="{kind}">{escape(first)}</td><td>{escape(second)}</td></tr>'
-        for first, second in rows
-    )
-    return f"<table>{''.join(cells)}</table>"
 
 
 def pictures(trace: Trace) -> list[tuple[str, bytes]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..errors import MissingDependency
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
 GREEN, RED, ORANGE, BLUE = "#12a150", "#e5243b", "#f0883e", "#2e62d6"
@@ -29,7 +31,6 @@ HEIGHTS = ("#41449c", "#3f86c8", "#5fbcc6", "#d8c98a")
 """Ramp of heights, low to high; on white and on black, and none of the colours of outcomes."""
 TITLE_PT, TEXT_PT, SMALL_PT = 13.0, 9.0, 8.0
 
-_ROUND = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _CELLS_ALONG = 1600
 _GOLDEN = 0.381966
 
@@ -50,7 +51,10 @@ def by_height(z: Any) -> NDArray[np.uint8]:
 
 def round_length(limit_m: float) -> int:
     """Return the longest round length of a scale bar below a limit [m], at least 1."""
-    return max((step for step in _ROUND if step <= limit_m), default=1)
+    if limit_m < 1:
+        return 1
+    power = int(10.0 ** math.floor(math.log10(limit_m)))
+    return power * max(step for step in (1, 2, 5) if step * power <= limit_m)
 
 
 def hue(k: int) -> float:
@@ -91,6 +95,31 @@ def plan(axes: Axes, low: Any, high: Any) -> None:
     axes.set_ylim(low[1], high[1])
 
 
+def coordinates(axes: Axes, names: tuple[str, str] = ("x, m", "y, m")) -> None:
+    """Give a ground plan a grid of round coordinates, and names with units.
+
+    Lines are as far apart as the bar of :func:`scale` is long.
+    """
+    from matplotlib.ticker import MultipleLocator, StrMethodFormatter
+
+    step = float(_bar_m(axes))
+    axes.set_axis_on()
+    for axis, name in zip((axes.xaxis, axes.yaxis), names, strict=True):
+        axis.set_major_locator(MultipleLocator(step))
+        axis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
+        axis.set_label_text(name, fontsize=TEXT_PT, color=DARK)
+    axes.tick_params(labelsize=SMALL_PT, colors=DARK, length=0)
+    axes.grid(True, color=PATH, lw=0.5, alpha=0.25)
+    for spine in axes.spines.values():
+        spine.set_color(PALE)
+
+
+def _bar_m(axes: Axes) -> int:
+    """Return the length of the scale bar of a ground plan [m]."""
+    left, right = axes.get_xlim()
+    return round_length((right - left) / 5)
+
+
 def chart(axes: Axes, xlabel: str = "", ylabel: str = "") -> None:
     """Set up axes of a plain chart."""
     axes.spines[["top", "right"]].set_visible(False)
@@ -116,9 +145,9 @@ def legend(axes: Axes, **place: Any) -> None:
     )  # fmt: skip
 
 
-def dots(axes: Axes, points: Any, **style: Any) -> None:
+def dots(axes: Axes, points: Any, **style: Any) -> PathCollection:
     """Draw points (N, 2 or more) from above."""
-    axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
+    return axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
 
 
 def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
@@ -146,7 +175,7 @@ def density(axes: Axes, points: Any, low: Any, high: Any) -> None:
 def scale(axes: Axes) -> None:
     """Draw a scale bar of a round length at the lower left of a ground plan."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    length = round_length((right - left) / 5)
+    length = _bar_m(axes)
     margin = 0.02 * max(right - left, high - low)
     x, y = left + margin, low + margin
     axes.plot([x, x + length], [y, y], color=DARK, lw=2.5, solid_capstyle="butt", zorder=9)

@@ -10,7 +10,7 @@ from ..errors import MissingDependency
 from ..localization import Localization
 from ..map.segment_map import SegmentMap
 from ..types import Float64, Pose
-from .pictures import GREEN, PATH, RED, SMALL_PT, TEXT_PT, density, plan, scale
+from .pictures import GREEN, PATH, RED, SMALL_PT, TEXT_PT, coordinates, density, plan, scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ _ARROW = 0.05  # length of a heading, as a share of the picture's width
 
 
 def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
-    """Draw a map from above: points in grey, and the trajectory.
+    """Draw a map from above: points in grey, and where it was driven.
 
     Raises
     ------
@@ -29,11 +29,12 @@ def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
     """
     axes = axes if axes is not None else _new_axes()
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
-    way = prior_map.trajectory[:, :2, 3]
+    way = prior_map.trajectory[prior_map.is_driven, :2, 3]
     low, high = _extent(np.concatenate([points, way, prior_map.centroids[:, :2]]))
     density(axes, points, low, high)
     axes.plot(*way.T, color=PATH, lw=1.0, label="trajectory of the map")
     plan(axes, low, high)
+    coordinates(axes)
     scale(axes)
     return axes
 

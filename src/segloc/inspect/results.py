@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import SeglocError
 from ..types import Float32, Int64, Pose
-from .trace import Trace, steps, summarize
+from .trace import Tables, Trace, confidence_tables, steps, summarize
 
 Parsed = TypeVar("Parsed")
 Outcome = Literal["localized", "refused", "false"]
@@ -25,7 +25,6 @@ DEBUG = "debug"
 _VOXEL_M = 0.3
 _STEP_M = 0.01  # unit of stored positions
 _MAX_BYTES = 64_000_000
-_SIGNS = ("+", "-")
 _DAMAGE = (
     ValueError,
     KeyError,
@@ -133,8 +132,10 @@ class Stages:
     name : str
     summary : str
         One sentence.
-    lines : tuple of str
-        One line per stage, then one per part of the confidence.
+    steps : tuple of str
+        One line per stage.
+    tables : tuple
+        Evidence, by :func:`~segloc.inspect.confidence_tables`.
     localized : bool
     T_local_sensor : (4, 4) float64
     T_map_local : (4, 4) float64 or None
@@ -157,7 +158,8 @@ class Stages:
 
     name: str
     summary: str
-    lines: tuple[str, ...]
+    steps: tuple[str, ...]
+    tables: Tables
     localized: bool
     T_local_sensor: Pose
     T_map_local: Pose | None
@@ -170,21 +172,9 @@ class Stages:
     matched: Int64
     inliers: NDArray[np.bool_]
 
-    @property
-    def steps(self) -> tuple[str, ...]:
-        """Lines of the stages."""
-        return tuple(line for line in self.lines if line[:1] not in _SIGNS)
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Lines of the confidence: log-odds and their names."""
-        return tuple(line for line in self.lines if line[:1] in _SIGNS)
-
 
 def stages_of(trace: Trace) -> Stages:
     """Reduce a trace to what a viewer draws."""
-    parts = [f"{part.log_odds:+.1f} {part.words}" for part in trace.parts]
-    parts = [f"{trace.constant:+.1f} prior", *parts] if parts else []
     other = trace.result.places[1] if len(trace.result.places) > 1 else None
     keep = _first_of_each_voxel(trace.structure)
     segments = trace.segments
@@ -193,7 +183,8 @@ def stages_of(trace: Trace) -> Stages:
     return Stages(
         name=trace.name,
         summary=summarize(trace),
-        lines=(*(f"{name}: {text}" for name, text in steps(trace)), *parts),
+        steps=tuple(f"{name}: {text}" for name, text in steps(trace)),
+        tables=confidence_tables(trace),
         localized=trace.result.localized,
         T_local_sensor=trace.T_local_sensor,
         T_map_local=trace.T_map_local,
@@ -222,7 +213,8 @@ def pack(query: Stages) -> bytes:
     entries = {
         "name": query.name,
         "verdict": query.summary,
-        "lines": query.lines,
+        "steps": query.steps,
+        "tables": query.tables,
         "localized": query.localized,
         "T_local_sensor": query.T_local_sensor.tolist(),
         "T_map_local": None if query.T_map_local is None else query.T_map_local.tolist(),
@@ -259,7 +251,11 @@ def unpack(data: bytes, where: str) -> Stages:
         query = Stages(
             name=str(entries["name"]),
             summary=str(entries["verdict"]),
-            lines=tuple(map(str, entries["lines"])),
+            steps=tuple(map(str, entries["steps"])),
+            tables=tuple(
+                (str(title), tuple((str(x), str(label), str(words)) for x, label, words in rows))
+                for title, rows in entries["tables"]
+            ),
             localized=bool(entries["localized"]),
             T_local_sensor=np.array(entries["T_local_sensor"], np.float64).reshape(4, 4),
             T_map_local=pose_of(entries["T_map_local"]),

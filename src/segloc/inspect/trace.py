@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import geometry
-from ..likelihood import FEATURES, Count, Model, Observation
 from ..localization import Localization, Reason
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
@@ -20,27 +19,12 @@ from ..proposals.proposer import Query
 from ..system.stage_times import StageTimes
 from ..system.text import counted
 from ..types import Bools, Float32, Int64, LocalCloud, Pose, Segments
+from .evidence import Part, evidence_rows, parts_of, prior_log_odds, runner_up_rows
+
+Tables: TypeAlias = tuple[tuple[str, tuple[tuple[str, str, str], ...]], ...]
+"""Titles, each with rows of log-odds, label and words."""
 
 _BEYOND_M = 2.0  # margin of map points around a query
-
-
-@dataclass(frozen=True)
-class Part:
-    """One feature of the confidence.
-
-    Attributes
-    ----------
-    name : str
-        Name in the model.
-    log_odds : float
-        Contribution to the log-odds of the pose.
-    words : str
-        Measured value, and that of the best other place.
-    """
-
-    name: str
-    log_odds: float
-    words: str
 
 
 @dataclass(frozen=True)
@@ -66,8 +50,8 @@ class Trace:
         The best pose, accepted or not.
     on_map : (S,) bool
         Which points of the structure have a map point nearby at the best pose.
-    constant : float
-        Prior log-odds, to which the parts are added.
+    prior : float
+        Log-odds before anything is measured, to which those of the parts are added.
     parts : tuple of Part
         Empty if no pose was scored.
     """
@@ -83,7 +67,7 @@ class Trace:
     prior_map: SegmentMap
     T_map_local: Pose | None
     on_map: Bools
-    constant: float
+    prior: float
     parts: tuple[Part, ...]
 
 
@@ -114,8 +98,8 @@ def trace(
         prior_map=found.prior_map,
         T_map_local=T,
         on_map=_on_map(localizer, found.prior_map, query.scene.structure, T),
-        constant=-likelihood.model.none,
-        parts=() if best is None else _parts(likelihood.model, found),
+        prior=prior_log_odds(likelihood.model),
+        parts=() if best is None else parts_of(likelihood.model, found),
     )
 
 
@@ -154,55 +138,6 @@ def _on_map(
     return np.asarray(np.isfinite(distances))
 
 
-def _parts(model: Model, found: Search) -> tuple[Part, ...]:
-    """Return the contribution of each feature to the log-ratio of the most probable place."""
-    best = found.posterior.best
-    assert best is not None
-    fit = next(fit for fit in found.fits if fit.T_map_local is best.T_map_local)
-    words = _measured(fit, [other for other in found.fits if other is not fit])
-    return tuple(
-        Part(name, model.weights[name] * feature, words[name])
-        for name, feature in zip(FEATURES, best.features, strict=True)
-    )
-
-
-def _measured(fit: Observation, others: Sequence[Observation]) -> dict[str, str]:
-    """Describe the measurement behind each feature."""
-    seen, flush, ground = "no map points in view", "no walls to compare", "no ground to compare"
-    if (share := fit.seen.share) is not None:
-        seen = f"{share:.0%} of the map points in view are seen"
-    if (share := fit.flush.share) is not None:
-        flush = f"{share:.0%} of the wall points are on the map's walls"
-    if (share := fit.ground.share) is not None:
-        ground = f"{share:.0%} of the ground lies on the map's ground"
-    free = f"{fit.inside.hits} of {fit.inside.of} patches are in free space of the map"
-    here = fit.walls.weight > 0
-    told = [int((here & (other.walls.weight > 0)).sum()) for other in others]
-    walls = f"{int(here.sum())} patches of walls compared"
-    known = fit.known.on + fit.known.off
-    lies = f"{fit.known.on} of {known} points in known space are on the map"
-    return {
-        "flush": flush,
-        "ground": ground,
-        "free_space": free,
-        "inliers_over_rival": f"{fit.inliers} segments, elsewhere "
-        f"{max([0, *(other.inliers for other in others)])}",
-        "known_over_rival": f"{lies}, {_elsewhere([_on(other) for other in others])}",
-        "seen_over_rival": f"{seen}, {_elsewhere([other.seen.share for other in others])}",
-        "walls_over_rival": f"{walls}, {min(told)} with each other place" if told else walls,
-    }
-
-
-def _on(fit: Observation) -> float | None:
-    """Return the share of the points in known space that are on the map."""
-    return Count(fit.known.on, fit.known.on + fit.known.off).share
-
-
-def _elsewhere(shares: Sequence[float | None]) -> str:
-    known = [share for share in shares if share is not None]
-    return f"{max(known):.0%} elsewhere" if known else "nothing to compare elsewhere"
-
-
 def steps(trace: Trace) -> list[tuple[str, str]]:
     """Return name and outcome of each stage."""
     result, sizes = trace.result, trace.segments.sizes
@@ -218,21 +153,18 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
         ("poses", _poses(trace)),
     ]
     if trace.T_map_local is not None:
-        found.append(("overlap", f"{result.overlap:.0%} of the cloud lies on the map there"))
-    other = result.places[1] if len(result.places) > 1 else None
-    if other is not None and trace.T_map_local is not None:
-        T = trace.T_map_local @ trace.T_local_sensor
-        away = float(np.linalg.norm(other.T_map_sensor[:3, 3] - T[:3, 3]))
-        turn = math.degrees(geometry.rotation_angle(geometry.inverse(T) @ other.T_map_sensor))
-        agree = counted(other.inliers, "segments", "agree")
-        found.append(
-            (
-                "runner-up",
-                f"{away:.1f} m away, turned by {turn:.0f} deg: {agree}, "
-                f"overlap {other.overlap:.0%}",
-            )
-        )
+        found.append(("runner-up", _runner_up(trace, trace.T_map_local @ trace.T_local_sensor)))
     return found
+
+
+def _runner_up(trace: Trace, T_map_sensor: Pose) -> str:
+    if len(trace.result.places) < 2:
+        return "none: no other place was likely enough to be measured in full"
+    other = trace.result.places[1]
+    away = float(np.linalg.norm(other.T_map_sensor[:3, 3] - T_map_sensor[:3, 3]))
+    turn = geometry.rotation_angle(geometry.inverse(T_map_sensor) @ other.T_map_sensor)
+    p = f"probability {other.probability:.2f}"
+    return f"{away:.1f} m away, turned by {math.degrees(turn):.0f} deg, {p}"
 
 
 def _poses(trace: Trace) -> str:
@@ -240,9 +172,21 @@ def _poses(trace: Trace) -> str:
     if not count or trace.T_map_local is None:
         return "no pose with agreeing matches"
     x, y, z = trace.T_map_local[:3, 3]
-    agree = counted(trace.result.inliers, "segments", "agree")
-    best = f"best at {x:.1f}, {y:.1f}, {z:.1f} m, proposed by {trace.result.proposer}: {agree}"
+    best = f"best at {x:.1f}, {y:.1f}, {z:.1f} m, proposed by {trace.result.proposer}"
     return f"{counted(count, 'candidates')}; {best}"
+
+
+def confidence_tables(trace: Trace) -> Tables:
+    """Return the evidence for and against the best pose, and over the runner-up, in log-odds."""
+    if not trace.parts:
+        return ()
+    groups = list(evidence_rows(trace.prior, trace.parts))
+    if rows := runner_up_rows(trace.parts):
+        groups.append(("over the runner-up", rows))
+    return tuple(
+        (title, tuple((f"{log_odds:+.1f}", label, words) for log_odds, label, words in rows))
+        for title, rows in groups
+    )
 
 
 def pose_text(T: Pose) -> str:
@@ -253,19 +197,16 @@ def pose_text(T: Pose) -> str:
 
 
 def summarize(trace: Trace) -> str:
-    """Return one sentence on the result, with advice if there is no pose."""
+    """Return one line on the result, with advice if there is no pose."""
     result = trace.result
     if result.localized:
         return f"localized at {pose_text(result.T_map_sensor)} (confidence {result.confidence:.2f})"
     assert result.reason is not None
-    if result.reason is Reason.TOO_UNCERTAIN:
-        return f"not localized, {result.message}: {_uncertain(trace)}"
-    return f"not localized, {result.message}: {result.reason.likely_cause}; {result.reason.remedy}"
-
-
-def _uncertain(trace: Trace) -> str:
-    """Return advice on a best pose that was not accepted."""
-    if not trace.parts:
-        return "the evidence for any pose is too weak"
-    least = min(trace.parts, key=lambda part: part.log_odds)
-    return f"a place may fit; accumulate more scans. The weakest part is: {least.words}"
+    message, cause = result.message, result.reason.likely_cause
+    if result.reason in (Reason.NOT_IN_MAP, Reason.TOO_UNCERTAIN) and trace.parts:
+        message = message.split(": ")[0]  # the evidence has the rest
+    if result.reason is Reason.TOO_UNCERTAIN and trace.parts:
+        least = min(trace.parts, key=lambda part: part.log_odds)
+        cause = f"the best pose may be right; most against it: {least.words}"
+    advice = result.reason.remedy
+    return f"not localized: {message}. {cause[:1].upper()}{cause[1:]}. What helps: {advice}."

@@ -28,6 +28,7 @@ from .following import Moment, draw_moments, newest_points, read_moments
 from .pictures import BLUE, DARK, GREEN, MAGENTA, PALE, RED, VIOLET, rgb
 from .results import Shown
 from .scene import COLOURS, FIXED, OF_QUERY, OTHER, ROBOT, RUNNER_UP, MapScene
+from .trace import Tables
 
 SECONDS_A_QUERY = 2.0
 _EVERY_S = 0.5
@@ -67,7 +68,7 @@ if ({_DARK} && !/[?&]darkMode/.test(location.search)) location.search += "&darkM
 # The page's player shows each query for some seconds; its slider and its field hold the time.
 _PANEL = Template("""
 <div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
-<b>confidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
+<b>evidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
 <script>
 (() => {
   const queries = $queries, seconds = $seconds;
@@ -316,7 +317,7 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
     )
     head = server.gui.add_markdown("")
     looked_at = server.gui.add_button_group("look at", ("pose", RUNNER_UP))
-    with server.gui.add_folder("stages and confidence", expand_by_default=False):
+    with server.gui.add_folder("stages and evidence", expand_by_default=False):
         text = server.gui.add_markdown("")
     chosen = queries[0]
 
@@ -354,13 +355,13 @@ def described(query: Shown) -> str:
 
 
 def stages(query: Shown) -> str:
-    """Describe one query in Markdown: stages, and parts of the confidence."""
+    """Describe one query in Markdown: stages and evidence."""
     if query.stages is None:
         return ""
     lines = [f"- {line}" for line in query.stages.steps]
-    if query.stages.parts:
-        lines += ["", "confidence, in log-odds", ""]
-        lines += [f"- {line}" for line in query.stages.parts]
+    for title, rows in query.stages.tables:
+        lines += ["", f"**{title}**, log-odds", ""]
+        lines += [f"- {log_odds} {label}: {words}" for log_odds, label, words in rows]
     return "\n".join(lines)
 
 
@@ -436,13 +437,25 @@ def _panel(queries: Sequence[Shown], legend: Sequence[tuple[str, str]]) -> str:
             "colour": COLOURS[query.outcome],
             "summary": query.text if shown is None else shown.summary,
             "stages": [] if shown is None else [line.split(": ", 1) for line in shown.steps],
-            "parts": [] if shown is None else [line.split(" ", 1) for line in shown.parts],
+            "parts": [] if shown is None else _flat(shown.tables),
         }
         for query in queries
         for shown in (query.stages,)
     ]
     text = json.dumps(records).replace("<", "\\u003c")  # escape the end of the script
     return _PANEL.substitute(queries=text, seconds=SECONDS_A_QUERY, legend=_swatches(legend))
+
+
+def _flat(tables: Tables) -> list[list[str]]:
+    """Return one table, with a row for each title."""
+    return [
+        row
+        for title, rows in tables
+        for row in (
+            ["", title],
+            *([log_odds, f"{label}: {text}"] for log_odds, label, text in rows),
+        )
+    ]
 
 
 def _with(page: str, panel: str) -> str:

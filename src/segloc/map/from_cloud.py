@@ -35,7 +35,8 @@ from .cloud_frame import (
 )
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .segment_map import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS, SegmentMap
+from .info import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS
+from .segment_map import SegmentMap
 from .viewpoints import (
     AROUND_M,
     SPACING_M,

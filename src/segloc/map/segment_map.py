@@ -19,6 +19,7 @@ from ..types import Descriptors, Float32, Float64, Pose, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
+from .info import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS, MapInfo
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .voxel_cloud import VoxelCloud
 
@@ -40,13 +41,6 @@ SEGMENT_DTYPES: dict[str, Any] = {
     "missed": np.int32,
 }
 
-VIEWPOINTS, LATTICE = "viewpoints", "lattice"
-"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
-space is known."""
-SOURCE, CLOUD = "source", "cloud"
-"""Key of the metadata, and its value for maps of one finished cloud."""
-CLOUD_FRAME = "T_map_cloud"
-"""Key of the metadata: transform from the frame of a finished cloud that was levelled."""
 _USED_BY_QUERIES = ("centroids", "quality")
 """Columns that are kept unpacked."""
 
@@ -325,25 +319,26 @@ class SegmentMap:
         parts = [part for parts in self._columns.values() for part in parts]
         return sum(part.nbytes for part in parts + self._trajectory) + self._cloud.nbytes
 
-    def info(self) -> dict[str, Any]:
-        """Return facts about the map as JSON values."""
+    def info(self) -> MapInfo:
+        """Return facts about the map: a dict of JSON values that is printed as a table."""
         centroids = self.centroids
         extent = np.ptp(centroids, axis=0).tolist() if len(self) else [0.0, 0.0, 0.0]
-        return {
-            "descriptor": self.descriptor,
-            "fingerprint": self.fingerprint,
-            "dim": self.dim,
-            "segments": len(self),
-            "sessions": len(np.unique(self.session)),
-            "poses": len(self.trajectory),
-            "has_quality": self.quality is not None,
-            "cloud_points": len(self._cloud),
-            "cloud_voxel_m": self.cloud_voxel,
-            "origin_m": self.origin.tolist(),
-            "extent_m": extent,
-            "memory_bytes": self.memory_bytes,
-            "metadata": dict(self.metadata),
-        }
+        return MapInfo(
+            descriptor=self.descriptor,
+            fingerprint=self.fingerprint,
+            dim=self.dim,
+            segments=len(self),
+            sessions=len(np.unique(self.session)),
+            poses=len(self.trajectory),
+            viewpoints=int((~self.is_driven).sum()),
+            has_quality=self.quality is not None,
+            cloud_points=len(self._cloud),
+            cloud_voxel_m=self.cloud_voxel,
+            origin_m=self.origin.tolist(),
+            extent_m=extent,
+            memory_bytes=self.memory_bytes,
+            metadata=dict(self.metadata),
+        )
 
     # --- changes -------------------------------------------------------------------------------
 

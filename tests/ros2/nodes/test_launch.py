@@ -209,9 +209,17 @@ def test_arguments_arrive(name: str, namespace: str, stand_ins: Path, tmp_path: 
         assert node.parameters.items() >= (expected | {"mode": mode}).items()
         assert node.parameters["odometry"] == odometry
         with_amcl = name == "nav2"
-        click = "initialpose" if with_amcl else "segloc/click"
-        assert rviz.remaps["segloc/click"] == click
-        assert node.parameters["click_topic"].removeprefix("~/") == click.removeprefix("segloc/")
+        assert node.parameters["click_topic"] == "initialpose"
+        amcl_names = {"pose": "amcl_pose"} | {
+            service: service
+            for service in (
+                "reinitialize_global_localization", "request_nomotion_update", "set_initial_pose"
+            )
+        }  # fmt: skip
+        for each, prefix in ((node, "~/"), (rviz, "segloc/")):
+            renamed = {key: each.remaps.get(prefix + key) for key in amcl_names}
+            expected = amcl_names if name == "nav2_without_amcl" else dict.fromkeys(amcl_names)
+            assert renamed == expected
         if name.startswith("nav2"):
             for server in ("map_server", "planner_server", *(["amcl"] * with_amcl)):
                 nav2 = launch.started(server)

@@ -28,11 +28,14 @@ from segloc.types import Pose
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("tf2_msgs")
 
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from samples.ros_peer import MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
+from samples.ros_peer import LATCHED, MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from segloc_ros.messages import pose_in, pose_out, seconds, transform_in  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out, seconds, time_of, transform_in  # noqa: E402
 from sensor_msgs.msg import NavSatFix  # noqa: E402
+from std_msgs.msg import Bool  # noqa: E402
+from std_srvs.srv import Empty  # noqa: E402
 
 pytestmark = pytest.mark.slow
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
@@ -336,7 +339,10 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
     peer.clear()
     site, log = str(maps / "site.segmap"), tmp_path / "log"
-    quiet = PARAMETERS | {"mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0}
+    quiet = PARAMETERS | {
+        "mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0,
+        "click_topic": "~/click",  # the peer listens to initialpose
+    }  # fmt: skip
     with running(NODE, log, map=site, **quiet):
         peer.ready()
         peer.tell_mount()
@@ -400,11 +406,99 @@ def test_amcl_is_told_by_its_topic_and_its_service(peer: Peer, maps: Path, tmp_p
     peer.destroy_service(amcl)
 
 
+def test_it_takes_amcls_place(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """AMCL's names by remaps; a listener that comes late gets the pose and the state."""
+    kind = pytest.importorskip("nav2_msgs.srv").SetInitialPose
+    state_type = pytest.importorskip("segloc_msgs.msg").State
+    services = "reinitialize_global_localization", "set_initial_pose", "request_nomotion_update"
+    names = {"pose": "amcl_pose"} | {name: name for name in services}
+    remaps = [part for own, amcls in names.items() for part in ("-r", f"~/{own}:={amcls}")]
+    poses: list[Any] = []
+    states: list[Any] = []
+    flags: list[Any] = []
+    peer.clear()
+    options = PARAMETERS | {"mode": "tf", "tf_when_lost": "keep"}
+    with running(NODE, tmp_path / "log", *remaps, map=str(maps / "site.segmap"), **options):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(3, step=0.0)
+        peer.until(lambda: peer.said == "localized", WAIT_S)
+        ends = [
+            peer.create_subscription(
+                PoseWithCovarianceStamped, "/amcl_pose", poses.append, LATCHED
+            ),
+            peer.create_subscription(state_type, "/segloc/state", states.append, LATCHED),
+            peer.create_subscription(Bool, "/segloc/localized", flags.append, LATCHED),
+        ]
+        peer.until(lambda: poses and states and flags, WAIT_S)
+        assert off(pose_in(poses[-1].pose.pose), truth) < 0.5
+        assert states[-1].status == state_type.LOCALIZED and flags[-1].data
+        assert states[-1].map_to_odom == state_type.TF_CURRENT and states[-1].confidence > 0.9
+        assert states[-1].map_url.endswith("site.segmap") and states[-1].reason == ""
+
+        reinitialize = peer.create_client(Empty, "/reinitialize_global_localization")
+        peer.until(reinitialize.service_is_ready, WAIT_S)
+        peer.ask(reinitialize, Empty.Request(), again_s=10.0)
+        peer.until(lambda: states[-1].status == state_type.LOST and not flags[-1].data, WAIT_S)
+        assert states[-1].map_to_odom == state_type.TF_KEPT
+        peer.walk(2, step=0.0)
+        peer.until(lambda: flags[-1].data, WAIT_S)
+
+        set_pose = peer.create_client(kind, "/set_initial_pose")
+        peer.until(set_pose.service_is_ready, WAIT_S)
+        near = geometry.yaw_transform(0.0, (-12.0, 2.0, 0.0))
+        request = kind.Request(pose=pose_out(PoseReply(0.0, "map", near, np.eye(6))))
+        peer.ask(set_pose, request, again_s=10.0)
+        peer.until(lambda: not flags[-1].data, WAIT_S)
+        peer.walk(2, step=0.0)
+        peer.until(lambda: flags[-1].data, WAIT_S)
+
+        update = peer.create_client(Empty, "/request_nomotion_update")
+        peer.until(update.service_is_ready, WAIT_S)
+        peer.heard["candidates"].clear()
+        peer.ask(update, Empty.Request(), again_s=10.0)
+        peer.walk(1, step=0.0)
+        peer.until(lambda: peer.heard["candidates"], WAIT_S)
+        for end in ends:
+            peer.destroy_subscription(end)
+
+
+def test_livox_messages_are_taken(
+    peer: Peer, maps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The node subscribes with the type that its driver publishes."""
+    livox = pytest.importorskip("livox_ros_driver2.msg")
+    publisher = peer.create_publisher(livox.CustomMsg, "/livox/lidar", 5)
+
+    def send_cloud(stamp: float, points: Any) -> None:
+        message = livox.CustomMsg(point_num=len(points))
+        message.header.stamp, message.header.frame_id = time_of(stamp), "os_sensor"
+        message.points = [livox.CustomPoint(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        publisher.publish(message)
+
+    monkeypatch.setattr(peer, "send_cloud", send_cloud)
+    peer.clear()
+    options = PARAMETERS | {"points_topic": "livox/lidar"}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(publisher.get_subscription_count, WAIT_S)
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.tell_mount()
+        peer.spin(1.0)
+        truth = peer.walk(4, step=0.5)
+        assert localized(peer, truth), peer.said
+    peer.destroy_publisher(publisher)
+
+
 def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """With autostart false somebody else configures and activates it, as Nav2's manager does."""
     from lifecycle_msgs.msg import State, Transition
     from lifecycle_msgs.srv import ChangeState, GetState
 
+    beats: list[Any] = []
+    status = pytest.importorskip("bond.msg").Status
+    peer.create_subscription(status, "/bond", beats.append, 10)
     change = peer.create_client(ChangeState, "/segloc/change_state")
     get = peer.create_client(GetState, "/segloc/get_state")
     options = PARAMETERS | {"autostart": "false", "mode": "tf"}
@@ -424,8 +518,10 @@ def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) ->
         peer.ready()
         truth = peer.walk(3)
         assert localized(peer, truth), peer.said
+        assert {(beat.id, beat.active) for beat in beats} == {("segloc", True)}
         assert to(Transition.TRANSITION_DEACTIVATE)
         peer.spin(0.5)
+        assert not beats[-1].active
         peer.clear()
         peer.walk(2, begin=(-8.0, 1.3))
         assert not peer.heard["pose"] and not peer.heard["tf"]

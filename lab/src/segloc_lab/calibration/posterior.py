@@ -418,6 +418,9 @@ def write(path: Path, weights: Float64, promised: dict[str, Promise], card: dict
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
     model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
+    model["settings"]["verification"] = VerificationConfig().model_dump(
+        mode="json", exclude={"min_confidence"}
+    )
     model |= {name: promise.model_dump() for name, promise in promised.items()}
     path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 

@@ -172,7 +172,8 @@ def extract(
 
 
 def _show(counts: LabelCounts, title: str) -> None:
-    from segloc.cli.console import number, table
+    from segloc.cli.console import table
+    from segloc.system.text import number
 
     rows = [
         ("segments", f"{counts.segments:,}"),

@@ -59,7 +59,7 @@ def localize(
     topic: options.Topic = None,
 ) -> None:
     """Localize each scan of a recording by its stems, without poses."""
-    from segloc.cli.queries import sentence
+    from segloc.batch.report import sentence
     from segloc.cli.recording import open_recording
     from segloc.datasets import NO_POSES
 

@@ -47,6 +47,6 @@ def prior_of(request: Click, settings: Settings) -> Prior | None:
 def aligned(robot: Robot, found: bool) -> Aligned:
     """The response, once a query near the prior was answered or its time has run out."""
     pose = robot.initial_pose() if found else None
-    if pose is None or robot.believed is None:
+    if pose is None or robot.pose_state is None:
         return Aligned(False, False, None)
-    return Aligned(True, robot.believed.status is Status.LOCALIZED, pose.pose)
+    return Aligned(True, robot.pose_state.status is Status.LOCALIZED, pose.pose)

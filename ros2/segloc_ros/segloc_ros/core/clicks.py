@@ -1,4 +1,4 @@
-"""A rough pose, by a person or by another program: where it is looked for, and for how long."""
+"""Rough poses of a person or another program, as priors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Click:
-    """geometry_msgs/PoseWithCovarianceStamped as it comes in.
+    """A geometry_msgs/PoseWithCovarianceStamped.
 
     Attributes
     ----------
@@ -31,20 +31,20 @@ class Click:
     covariance: Float64
 
     def prior(self, least_radius_m: float) -> Prior:
-        """Within three deviations of it, seen from above, or the least radius."""
+        """Return a prior of three standard deviations, seen from above, or of the least radius."""
         xy = np.nan_to_num(self.covariance[:2, :2])
         deviation = float(np.sqrt(max(0.0, np.linalg.eigvalsh((xy + xy.T) / 2).max())))
         return Prior(self.T_map_base[:2, 3], max(least_radius_m, _SIGMAS * deviation))
 
 
 class Echoes:
-    """Knows a pose that was published again when it comes back: numbers survive unchanged."""
+    """Recognises the node's own poses when they come back: their numbers are unchanged."""
 
     def __init__(self) -> None:
         self._sent: deque[tuple[float, ...]] = deque(maxlen=_REMEMBERED)
 
     def sent(self, T: Pose) -> None:
-        """Remember a pose."""
+        """Remember a pose that was published."""
         self._sent.append(_key(T))
 
     def holds(self, T: Pose) -> bool:

@@ -1,4 +1,4 @@
-"""The contents of /diagnostics: one line for people, and figures."""
+"""The contents of /diagnostics, one line for people and figures, and the state for programs."""
 
 from __future__ import annotations
 
@@ -36,6 +36,81 @@ class Diagnosis:
     values: dict[str, str]
 
 
+class StateStatus(IntEnum):
+    """Constants of segloc_msgs/State."""
+
+    LOST = 0
+    CANDIDATE = 1
+    DEGRADED = 2
+    LOCALIZED = 3
+    INACTIVE = 4
+
+
+class TfState(IntEnum):
+    """Constants of segloc_msgs/State: which map -> odom is broadcast."""
+
+    NONE = 0
+    CURRENT = 1
+    KEPT = 2
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """The contents of a segloc_msgs/State.
+
+    Attributes
+    ----------
+    stamp : float
+        Of the newest scan or odometry [s]; 0 before the first.
+    status : StateStatus
+    at_rest : bool
+        Whether no queries are made: the pose, if there is one, follows the odometry.
+    reason : str
+        Why the status is no better; "" while localized and without a fault.
+    confidence : float
+        Probability of the most probable place, in [0, 1].
+    map_url : str
+    map_to_odom : TfState
+    """
+
+    stamp: float
+    status: StateStatus
+    at_rest: bool
+    reason: str
+    confidence: float
+    map_url: str
+    map_to_odom: TfState
+
+    @property
+    def localized(self) -> bool:
+        """Whether there is a pose."""
+        return self.status in (StateStatus.LOCALIZED, StateStatus.DEGRADED)
+
+
+def robot_state(robot: Robot, active: bool) -> RobotState:
+    """Return the state of a robot; ``active``: whether the node takes input."""
+    current = robot.pose_state
+    status, map_to_odom = StateStatus.LOST, TfState.NONE
+    if current is not None:
+        status = StateStatus[current.status.name]
+    if robot.settings.broadcasts_tf and robot.T_map_odom is not None:
+        map_to_odom = TfState.CURRENT
+    elif robot.keeps_tf:
+        map_to_odom = TfState.KEPT
+    reason = _fault(robot) or _reason(robot)
+    if not active:
+        status, map_to_odom, reason = StateStatus.INACTIVE, TfState.NONE, "inactive"
+    return RobotState(
+        0.0 if robot.state is None else robot.state.stamp,
+        status,
+        robot.trigger.resting,
+        reason,
+        0.0 if current is None else current.confidence,
+        robot.map_path,
+        map_to_odom,
+    )
+
+
 _ORDER = ("map", "jump", "points", "mount", "odometry", "gravity")
 _LEVELS = {
     Status.LOCALIZED: Level.OK,
@@ -46,36 +121,52 @@ _LEVELS = {
 
 
 def diagnose(robot: Robot) -> Diagnosis:
-    """How a robot is doing."""
+    """Return the diagnosis of a robot."""
     level, message = _summary(robot)
     return Diagnosis(level, message, _values(robot))
 
 
 def _summary(robot: Robot) -> tuple[Level, str]:
-    faults = robot.faults
-    first = next((kind for kind in _ORDER if kind in faults), None)
-    if first is not None:
-        level = Level.ERROR if first == "map" else Level.WARN
-        nobody = robot.cloud_age_s is None and robot.publishers == 0 and first == "points"
-        return level, f"{faults[first]}, which nobody publishes" if nobody else faults[first]
+    if fault := _fault(robot):
+        is_error = "map" in robot.faults and not robot.map_progress
+        return Level.ERROR if is_error else Level.WARN, fault
     level, message = _state(robot)
+    if robot.keeps_tf:
+        message = f"{message}; the last map -> odom is kept"
+    if robot.map_progress:
+        return Level.WARN, f"{message}; {robot.map_progress}"
     if robot.map_fault:  # the map in use is older than its file
-        return Level.WARN, f"{message}; the map in use stays: {robot.map_fault}"
+        return Level.ERROR, f"{message}; the map in use stays: {robot.map_fault}"
     if robot.publishers is not None and robot.publishers > 1:
         topic = robot.settings.points_topic
         return Level.WARN, f"{message}; {topic} has {robot.publishers} publishers"
     return level, message
 
 
-def _state(robot: Robot) -> tuple[Level, str]:
-    if robot.trigger.resting:
-        if robot.trigger.held is None:
-            return Level.OK, "at rest: call ~/relocalize"
-        return Level.OK, "localized, at rest"
-    state = robot.state
+def _fault(robot: Robot) -> str:
+    """Return the first fault that keeps poses from being computed; "" if there is none."""
+    faults = robot.faults
+    first = next((kind for kind in _ORDER if kind in faults), None)
+    if first is None:
+        return ""
+    nobody = robot.cloud_age_s is None and robot.publishers == 0 and first == "points"
+    return f"{faults[first]}, which nobody publishes" if nobody else faults[first]
+
+
+def _reason(robot: Robot) -> str:
+    """Return why a robot without a fault is not localized, or only degraded; "" otherwise."""
+    state = robot.pose_state
     if state is None:
-        return Level.WARN, "lost: nothing has come in"
-    reason = state.reason if state.localized else robot.hint or state.reason
+        return "at rest: call ~/relocalize" if robot.trigger.resting else "no data received yet"
+    return state.reason if state.localized else robot.hint or state.reason
+
+
+def _state(robot: Robot) -> tuple[Level, str]:
+    state, reason = robot.pose_state, _reason(robot)
+    if robot.trigger.resting:
+        return Level.OK, reason if state is None else "localized, at rest"
+    if state is None:
+        return Level.WARN, f"lost: {reason}"
     return _LEVELS[state.status], f"{state.status}: {reason}" if reason else str(state.status)
 
 
@@ -110,7 +201,7 @@ def _values(robot: Robot) -> dict[str, str]:
     if (core := robot.core) is not None:
         values |= {"scans": str(core.scans), "dropped": str(core.dropped)}
     if (last := robot.last) is not None:
-        values["last query"] = last.message or "believed"
+        values["last query"] = last.message or "accepted"
         values["candidates"] = " ".join(f"{p:.3f}" for _, p in last.candidates)
         values |= {f"{stage}_ms": f"{ms:.1f}" for stage, ms in last.times_ms.items()}
     return values

@@ -1,7 +1,8 @@
-"""The map: a file or tiles, loaded when it appears or changes, or another on request."""
+"""The map: a file, tiles or a cloud, loaded when it appears or changes, or another on request."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from segloc import Localizer, SeglocError, SegmentMap
 from segloc.config import map_config
 from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
 from segloc.types import Float32
+
+from .cloud_map import Note, cloud_signature, holds_cloud, map_of_cloud
 
 
 class MapFile:
@@ -20,6 +23,8 @@ class MapFile:
     path : str
     threads : int
         Of the localizer.
+    note : callable, optional
+        Called with each remark on a cloud of which a map is built, one line.
 
     Attributes
     ----------
@@ -29,21 +34,29 @@ class MapFile:
         Why it cannot be loaded; "" if it is loaded.
     request_fault : str
         Why the last map on request could not be loaded; "" if it was.
+    progress : str
+        What is being done to a cloud; "" otherwise.
+    on_progress : callable
+        Called when ``progress`` has changed; an exception that it raises ends the work.
     """
 
-    def __init__(self, path: str, threads: int) -> None:
-        self.path, self._threads = path, threads
+    def __init__(self, path: str, threads: int, note: Note = lambda remark: None) -> None:
+        self.path, self._threads, self._note = path, threads, note
+        self.progress = ""
+        self.on_progress: Callable[[], None] = lambda: None
         self._seen: tuple[int, int, int] | None = None
         self.fault, self.request_fault = "the map is being read", ""
 
     def newer(self) -> Localizer | None:
         """Return a localizer if the map is new or has changed; None otherwise.
 
-        Files are replaced whole, so what is there can be read; what cannot is read again only once
-        it has changed.
+        Files are replaced whole. One that cannot be read is tried again once it has changed.
         """
         if not self.path:
-            self.fault = "no map: set the parameter map to a .segmap, a folder of tiles or its URL"
+            self.fault = (
+                "no map: set the parameter map to a .segmap, a point cloud, a folder of tiles or "
+                "its URL"
+            )
             return None
         try:
             signature = _signature(self.path)
@@ -57,7 +70,7 @@ class MapFile:
             return None
         self._seen = signature
         try:
-            localizer = opened(self.path, self._threads)
+            localizer = self._opened(self.path)
         except (SeglocError, OSError) as error:
             self.fault = f"no map: {error}"
             return None
@@ -74,7 +87,7 @@ class MapFile:
         """
         try:
             signature = _signature(path)
-            localizer = opened(path, self._threads)
+            localizer = self._opened(path)
         except OSError as error:
             self.request_fault = f"{path}: {error.strerror}"
             raise SeglocError(self.request_fault) from error
@@ -84,18 +97,27 @@ class MapFile:
         self.path, self._seen, self.fault, self.request_fault = path, signature, "", ""
         return localizer
 
+    def _opened(self, path: str) -> Localizer:
+        """Return a localizer in the map at a path: a file, a cloud, or a folder or URL of tiles.
 
-def opened(path: str, threads: int) -> Localizer:
-    """A localizer in the map at a path: a file, or a folder or URL of tiles.
+        Raise SeglocError or OSError if it cannot be loaded.
+        """
+        try:
+            prior_map = (
+                map_of_cloud(path, self._threads, self._report, self._note)
+                if holds_cloud(path)
+                else open_map(path)
+            )
+        finally:
+            self.progress = ""
+        whole = prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
+        config = map_config(whole).model_copy(update={"threads": self._threads})
+        return localizer_in(prior_map, config)
 
-    Raises
-    ------
-    SeglocError
-        If it cannot be loaded.
-    """
-    prior_map = open_map(path)
-    whole = prior_map if isinstance(prior_map, SegmentMap) else prior_map.coarse()
-    return localizer_in(prior_map, map_config(whole).model_copy(update={"threads": threads}))
+    def _report(self, progress: str) -> None:
+        is_news, self.progress = progress != self.progress, progress
+        if is_news:
+            self.on_progress()
 
 
 def _is_url(path: str) -> bool:
@@ -106,9 +128,24 @@ def _signature(path: str) -> tuple[int, int, int]:
     """What changes whenever a map is replaced; a URL is not watched."""
     if _is_url(path):
         return (0, 0, 0)
+    if holds_cloud(path):
+        return cloud_signature(path)
     file = Path(path) / INDEX if holds_tiles(path) else Path(path)
     found = file.stat()
     return (found.st_mtime_ns, found.st_size, found.st_ino)
+
+
+def grid_beside(path: str) -> str:
+    """Return Nav2's map.yaml of a map; "" if there is none.
+
+    It is ``site.yaml`` or ``site/map.yaml`` beside ``site.segmap``, and ``map.yaml`` in a folder.
+    """
+    where = Path(path)
+    if _is_url(path):
+        return ""
+    stem = where if where.is_dir() else where.with_suffix("")
+    beside = stem / "map.yaml", stem.with_name(f"{stem.name}.yaml")
+    return next((str(file.resolve()) for file in beside if file.is_file()), "")
 
 
 def map_points(prior_map: SegmentMap, most: int) -> Float32:

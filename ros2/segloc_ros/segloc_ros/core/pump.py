@@ -1,9 +1,8 @@
-"""Two threads beside the executor's: one takes messages in, one makes queries and reads the map."""
+"""Three threads beside the executor's: for messages, for queries, and for the map."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +17,11 @@ from .robot import Robot
 
 T = TypeVar("T")
 Event = Callable[[Robot], list[Reply]]
+
+
+class _Closed(Exception):
+    """The threads end while a map is being built."""
+
 
 _MAX_WAITING = 4096  # events other than clouds
 
@@ -68,11 +72,17 @@ class Pump:
         self._clouds: deque[Event] = deque(maxlen=clouds)
         self._skipped = 0
         self._loads: deque[tuple[str, Pose | None, Callable[[str], None]]] = deque()
+        self._load_asked = threading.Condition()
         self._closed = False
+        maps.on_progress = self._report_progress
         self.error: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._guarded, args=[run], name=name, daemon=True)
-            for run, name in ((self._run, "segloc-queries"), (self._take_in, "segloc-intake"))
+            for run, name in (
+                (self._make_queries, "segloc-queries"),
+                (self._take_in, "segloc-intake"),
+                (self._keep_map, "segloc-map"),
+            )
         ]
         for thread in self._threads:
             thread.start()
@@ -101,17 +111,18 @@ class Pump:
         With ``T_new_old``, between the maps' frames, search near the last pose first, seen from
         above. ``done`` is called, in any thread, with the fault; "" if there is none.
         """
-        with self._entered():
+        with self._load_asked:
             self._loads.append((path, T_new_old, done))
-            self._changed.notify_all()
+            self._load_asked.notify()
 
     def close(self) -> None:
-        """End the threads after their current work."""
+        """End the threads after their current work; a map of a cloud is not finished."""
         with self._entered():
             self._closed = True
             self._changed.notify_all()
-        with self._arrived:
-            self._arrived.notify_all()
+        for condition in (self._arrived, self._load_asked):
+            with condition:
+                condition.notify_all()
         for thread in self._threads:
             thread.join()
 
@@ -150,14 +161,8 @@ class Pump:
                 return None
             return self._events.popleft() if self._events else self._clouds.popleft()
 
-    def _run(self) -> None:
-        looked = -self._watch_s
+    def _make_queries(self) -> None:
         while not self._closed:
-            if time.monotonic() - looked >= self._watch_s:
-                looked = time.monotonic()
-                self._look_after_map()
-            while self._loads:
-                self._load(*self._loads.popleft())
             with self._entered():
                 job = None if self._closed else self._robot.due()
                 if job is None:
@@ -167,6 +172,18 @@ class Pump:
             answer = self._robot.ask(job)
             with self._entered():
                 self._publish(self._robot.answer(answer))
+
+    def _keep_map(self) -> None:
+        """Load the map when it appears or changes, and others on request."""
+        try:
+            while not self._closed:
+                self._look_after_map()
+                with self._load_asked:
+                    self._load_asked.wait_for(lambda: self._loads or self._closed, self._watch_s)
+                while self._loads and not self._closed:
+                    self._load(*self._loads.popleft())
+        except _Closed:
+            pass
 
     def _load(self, path: str, T_new_old: Pose | None, done: Callable[[str], None]) -> None:
         try:
@@ -189,4 +206,10 @@ class Pump:
 
     def _report_map(self) -> None:
         maps = self._maps
-        self.read(lambda robot: robot.report_map(maps.path, maps.fault, maps.request_fault))
+        faults = maps.fault, maps.request_fault, maps.progress
+        self.read(lambda robot: robot.report_map(maps.path, *faults))
+
+    def _report_progress(self) -> None:
+        if self._closed:
+            raise _Closed
+        self._report_map()

@@ -1,4 +1,4 @@
-"""A query on its way: handed out, made in another thread, and brought back."""
+"""Queries: returned by the core, made in another thread, and applied."""
 
 from __future__ import annotations
 
@@ -57,15 +57,15 @@ class ScansInOdom:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a query.
+    """The result of a query.
 
     Attributes
     ----------
     job : Job
     view : View or None
-        None where it could not be made.
+        None if it could not be made.
     search : Search or None
-        None where nothing was searched: the track alone was checked.
+        None if nothing was searched: only the track was checked.
     times_ms : dict
         Milliseconds of each stage.
     position : (3,) float64 or None
@@ -77,7 +77,7 @@ class Answer:
     message : str
         Why no pose is accepted; "" if one is.
     hint : str
-        What is wrong with the job's scans; "" if nothing is known to be.
+        Fault of the job's scans; "" if none is known.
     """
 
     job: Job
@@ -91,11 +91,11 @@ class Answer:
     hint: str = ""
 
     def matches(self, frame: str) -> MatchesReply | None:
-        """What to show of it; None where nothing was searched or found."""
+        """Return the matches to show; None if nothing was searched or found."""
         if self.position is None or self.search is None:
             return None
-        believed = self.search.reason is None
-        return MatchesReply(self.job.asked.stamp, frame, self.position, self.centroids, believed)
+        accepted = self.search.reason is None
+        return MatchesReply(self.job.asked.stamp, frame, self.position, self.centroids, accepted)
 
 
 def make(job: Job) -> Answer:
@@ -124,7 +124,7 @@ def make(job: Job) -> Answer:
 
 
 def _hint(scans: tuple[Scan, ...]) -> str:
-    """Return what is wrong with scans in the axes of the odometry: their unit or its axes."""
+    """Return the fault of scans in the axes of the odometry: their unit or its axes."""
     for finding in scan_findings(scans, posed=True):
         if finding.fault in _AXES and finding.wrong:
             return f"in the odometry's axes {finding.what}: {_Z_UP}"

@@ -1,4 +1,4 @@
-"""What the core says: each is published by the node as it stands."""
+"""Outputs of the core; the node publishes each without change."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from segloc.types import Float64, Pose
 from .frames import Transform
 
 _UNKNOWN = (1.0, 5.0)
-"""Deviations of a pose that is believed and whose covariance is not known, m and degrees."""
+"""Standard deviations of a pose whose covariance is unknown [m] and [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,11 @@ class PoseReply:
         covariance: Float64 | None,
         least: tuple[float, float] = (0.0, 0.0),
     ) -> PoseReply:
-        """From a covariance as segloc has it, or none, and the least deviations, m and degrees."""
+        """Return a reply with a covariance in ROS's order.
+
+        covariance: in segloc's order, or None if unknown
+        least: minimum standard deviations [m] and [degrees]
+        """
         known = _deviating(*_UNKNOWN) if covariance is None else covariance
         grown = ros_covariance(known + _deviating(*least), T_map_base)
         return cls(stamp, frame, T_map_base, grown)
@@ -64,7 +68,7 @@ class InitialPose:
 
 @dataclass(frozen=True)
 class MapToOdom:
-    """map -> odom on tf; its stamp is post-dated."""
+    """map -> odom on tf, post-dated."""
 
     transform: Transform
 
@@ -98,24 +102,25 @@ class OdometryReply:
 
 @dataclass(frozen=True)
 class MatchesReply:
-    """What a query was matched with.
+    """Segments of the map that a query matches.
 
     Attributes
     ----------
     stamp : float
     frame : str
     position : (3,) float64
-        Of the sensor, where the query believes it.
+        Of the sensor at the best candidate.
     centroids : (K, 3) float64
         Of the segments of the map that agree.
-    believed : bool
+    accepted : bool
+        Whether the query was localized.
     """
 
     stamp: float
     frame: str
     position: Float64
     centroids: Float64
-    believed: bool
+    accepted: bool
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,20 @@
-"""The node without ROS: messages go in, replies to publish come out.
+"""The node without ROS: it takes messages and returns replies to publish.
 
-No threads, and no clock but for durations. Queries are handed out, made elsewhere, and answered, as
-with :class:`segloc.live.LiveCore`, which this wraps.
+No threads, and no clock but for durations. As with :class:`segloc.live.LiveCore`, which this wraps,
+queries are returned, made by the caller, and applied.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict, deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from segloc import Localizer, Prior, SeglocError, geometry
+from segloc import Localizer, Prior, Scan, SeglocError, geometry
 from segloc.batch.run import gnss_priors
 from segloc.datasets.clocks import StreamTimes
 from segloc.datasets.fixes import Fixes
@@ -26,20 +27,23 @@ from segloc.types import Float64, Pose
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
+from .livox import livox_cloud
 from .queries import Answer, Job, ScansInOdom, make
 from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings
 from .still import StillClouds
 from .trigger import Trigger
 
+_READING = "the map is being read"
 _MOST_POSES = 4096
 _NEAR_S = 0.5
+_AT_ONCE = {"every_s": 1e-9, "every_lost_s": 1e-9}
 _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
-"""A tracker is told again where it is once that differs by more."""
+"""A tracker gets another pose if its own differs by more."""
 
 
 class Robot:
-    """Where a robot is, from what its topics say.
+    """Localizes a robot from the messages of its topics.
 
     Parameters
     ----------
@@ -48,7 +52,7 @@ class Robot:
     Attributes
     ----------
     faults : dict of str to str
-        What is missing, in words, by kind; nothing is told of the robot while there is any.
+        Messages on what is missing, by kind; no pose is published while there is any.
     state : State or None
     fixes : int
         How often it was found.
@@ -63,6 +67,8 @@ class Robot:
     map_path, map_fault, request_fault : str
         The file of the map, why it cannot be read, and why the last one on request was not; "" if
         they were.
+    map_progress : str
+        Progress of reading or building the map, in words; "" otherwise.
     publishers : int or None
         Of ``points``; None if unknown.
     hint : str
@@ -70,7 +76,7 @@ class Robot:
     keeper : PoseKeeper or None
         Keeps the pose over a power cycle.
     point_times : dict of str to StreamTimes
-        Unit of the point times by topic; ``note`` tells what is converted or dropped.
+        Unit of the point times by topic; ``note`` is a line if they are converted or dropped.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -83,6 +89,7 @@ class Robot:
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
         self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
+        self.map_progress = _READING
         self.publishers: int | None = None
         self.hint = ""
         self._arrived: float | None = None  # when the last cloud came, by a steady clock
@@ -92,7 +99,7 @@ class Robot:
         self._core: LiveCore | None = None
         self.point_times: defaultdict[str, StreamTimes] = defaultdict(StreamTimes)
         self._own = {
-            "map": "the map is being read",
+            "map": _READING,
             "points": f"no cloud yet: {settings.points_topic}",
         }
         self.keeper = settings.keeper
@@ -105,7 +112,9 @@ class Robot:
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
-        self._told: Pose | None = None  # T_map_odom that a tracker has, or nothing is believed
+        self._live, self._is_update_due = settings.live, False
+        self._kept: Pose | None = None  # the last T_map_odom, broadcast while the robot is lost
+        self._told: Pose | None = None  # T_map_odom that the tracker has
         self._supposed: Pose | None = None  # T_map_odom of a map that was switched to
 
     @property
@@ -124,16 +133,17 @@ class Robot:
 
     @property
     def time_notes(self) -> str:
-        """What is assumed of the units of point times, or why they are not used."""
+        """Assumed units of point times, or why they are not used."""
         notes = {*self._unread.values(), *(each.note for each in self.point_times.values())}
         return "; ".join(sorted(notes - {""}))
 
-    # --- what comes in -------------------------------------------------------------------------
+    # --- inputs --------------------------------------------------------------------------------
 
     def use(self, localizer: Localizer) -> None:
         """Take a map, the first or another: the pose in the one before is forgotten."""
         self._localizer = localizer
         self._end()
+        self._kept, self.map_progress = None, ""
         self._own.pop("map", None)
 
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
@@ -148,16 +158,20 @@ class Robot:
             T_map_base = T_new_old @ pose[0]
             prior = Prior(T_map_base[:2, 3], self.settings.click_radius_m)
             self._supposed = T_map_base @ geometry.inverse(pose[1])
+            self._kept = self._supposed if self.settings.tf_when_lost == "keep" else None
         self.relocalize(prior)
 
-    def report_map(self, path: str, fault: str, request_fault: str = "") -> None:
+    def report_map(
+        self, path: str, fault: str, request_fault: str = "", progress: str = ""
+    ) -> None:
         """Report the map's file, why it cannot be read, and why the last one on request was not.
 
-        A map in use stays in use.
+        ``progress`` is what is being done to a cloud. A map in use stays in use.
         """
         self.map_path, self.map_fault, self.request_fault = path, fault, request_fault
-        if self._localizer is None and fault:
-            self._own["map"] = fault
+        self.map_progress = progress
+        if self._localizer is None and (progress or fault):
+            self._own["map"] = progress or fault
 
     def on_transforms(self, transforms: list[Transform], static: bool) -> list[Reply]:
         """tf2_msgs/TFMessage. A mount that moves ends the localization."""
@@ -183,6 +197,26 @@ class Robot:
 
         ``topic``: of which LiDAR it is, if there are several.
         """
+        names = [field.name for field in cloud.fields]
+        return self._on_scan(lambda: to_scan(cloud), names, stamp, frame, topic)
+
+    def on_livox(self, data: bytes, topic: str = "") -> list[Reply]:
+        """livox_ros_driver2/CustomMsg, serialised; otherwise as :meth:`on_cloud`."""
+        try:
+            stamp, frame, scan = livox_cloud(data)
+        except SeglocError as error:
+            self._arrived = time.monotonic()
+            return self._refuse("unreadable", f"cloud refused: {error}")
+        return self._on_scan(lambda: scan, [], stamp, frame, topic)
+
+    def report_topic(self, fault: str) -> None:
+        """Report that clouds of a topic cannot be received."""
+        self._own["points"] = fault
+
+    def _on_scan(
+        self, read: Callable[[], Scan], names: list[str], stamp: float, frame: str, topic: str
+    ) -> list[Reply]:
+        """Take a cloud; ``names`` are those of its fields."""
         begun = time.perf_counter()
         self._arrived = time.monotonic()
         self._own.pop("points", None)
@@ -196,15 +230,14 @@ class Robot:
                 self._end()
             return []
         try:
-            scan = to_scan(cloud)
+            scan = read()
         except SeglocError as error:
             return self._refuse("unreadable", f"cloud refused: {error}")
         if not len(scan):
-            count = int(cloud.width) * int(cloud.height)
-            unusable = f"all {count} points are zero or not finite" if count else "no points"
-            return self._refuse("no usable points", f"cloud refused: {unusable}: check the driver")
+            unusable = "cloud refused: no points, or all are zero or not finite: check the driver"
+            return self._refuse("no usable points", unusable)
         if topic not in self._unread:
-            self._unread[topic] = unread_times(field.name for field in cloud.fields)
+            self._unread[topic] = unread_times(names)
         given = MountedScan(stamp, self.point_times[topic].apply(scan, stamp), T_base_lidar)
         replies: list[Reply] = []
         for each in self._merged(topic, given):
@@ -285,27 +318,27 @@ class Robot:
         return []
 
     def on_click(self, click: Click) -> str:
-        """A rough pose: it is looked for there, whatever was believed before.
+        """Take a rough pose: forget the current one and search near it.
 
         Returns
         -------
         str
-            Why it is passed over; "" where it is not.
+            Why it is ignored; "" if it is used.
         """
         if self._echoes.holds(click.T_map_base):
             return "an echo"
         if frame_name(click.frame) != self.settings.map_frame:
-            return f"a click in {click.frame or 'no frame'}, not in {self.settings.map_frame}"
+            return f"its frame is {click.frame or 'empty'}, not {self.settings.map_frame}"
         self.relocalize(click.prior(self.settings.click_radius_m))
         return ""
 
     def relocalize(self, near: Prior | None = None, anywhere: bool = True) -> int:
-        """Forget where it is, and look for it: at the next cloud, without the robot's moving.
+        """Forget the pose and search at the next cloud, without motion of the robot.
 
         Returns
         -------
         int
-            ``fixes`` will be more once it is found.
+            ``fixes`` exceeds it once the robot is found.
         """
         if self.keeper is not None:
             self.keeper.drop("overridden by a call")
@@ -316,8 +349,20 @@ class Robot:
             self.state = self._core.forget()
         return self.fixes
 
+    def request_update(self) -> None:
+        """Query at the next cloud although the robot does not move; the pose stays.
+
+        A robot that is at rest checks its pose, and rests again. One that rests without a pose
+        ignores it.
+        """
+        if self.trigger.resting and self.trigger.held is None:
+            return
+        if self.trigger.resting:
+            self.trigger.wake()
+        self._is_update_due = True
+
     def quiet(self, seconds: float) -> list[Reply]:
-        """Nothing has come in for so long."""
+        """Report that no data was received for some time [s]."""
         if self._core is None or not self._core.scans:
             return []
         return self._tell([self._core.report_silence(seconds)])
@@ -325,11 +370,15 @@ class Robot:
     # --- queries -------------------------------------------------------------------------------
 
     def due(self) -> Job | None:
-        """The query to be made now, if any."""
+        """Return the query to make now, if any."""
         core = self._core
-        asked = None if core is None else core.due()
-        if core is None or asked is None:
+        if core is None:
             return None
+        if self._is_update_due:
+            core.config = self._live.model_copy(update=_AT_ONCE)
+        if (asked := core.due()) is None:
+            return None
+        core.config, self._is_update_due = self._live, False
         near = self.trigger.near(asked.stamp) or asked.near or self._fixed(asked.stamp)
         if self.trigger.resting:
             core.answer(asked, None)
@@ -362,11 +411,11 @@ class Robot:
 
     @staticmethod
     def ask(job: Job) -> Answer:
-        """Make a query; any thread may."""
+        """Make a query; thread-safe."""
         return make(job)
 
     def answer(self, answer: Answer) -> list[Reply]:
-        """Take a query's answer in; one in a map that was replaced meanwhile is passed over."""
+        """Apply the answer of a query; one in a map that was replaced meanwhile is ignored."""
         if answer.job.core is not self._core:
             return []
         if answer.search is not None:
@@ -379,23 +428,28 @@ class Robot:
         shown = answer.matches(self.settings.map_frame) if self.settings.matches else None
         return replies if shown is None else [*replies, shown]
 
-    # --- what is known -------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------
 
     @property
-    def believed(self) -> State | None:
-        """The state that the pose comes from: what holds at rest, else the newest."""
+    def pose_state(self) -> State | None:
+        """The state of the current pose: the one that was found before rest, else the newest."""
         return self.trigger.held if self.trigger.resting else self.state
 
     @property
     def T_map_odom(self) -> Pose | None:
         """(4, 4) float64; None while it is not localized."""
-        believed = self.believed
-        if believed is None or believed.T_map_odom is None:
+        current = self.pose_state
+        if current is None or current.T_map_odom is None:
             return None
-        return believed.T_map_odom @ self.body.T_level_odom
+        return current.T_map_odom @ self.body.T_level_odom
+
+    @property
+    def keeps_tf(self) -> bool:
+        """Whether the last map -> odom is broadcast although the robot is lost."""
+        return self.settings.broadcasts_tf and self.T_map_odom is None and self._kept is not None
 
     def initial_pose(self) -> InitialPose | None:
-        """Where it is now, for a tracker; None while it is not localized."""
+        """Return the pose for a tracker; None while the robot is not localized."""
         now = self._now()
         if now is None:
             return None
@@ -410,7 +464,7 @@ class Robot:
     # --- inside --------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """End the localization: nothing that is known of the pose holds any longer."""
+        """End the localization: forget the pose and the scans."""
         self._core, self.state, self._told = None, None, None
         self._forget_hints()
         if self._smooth is not None:
@@ -426,9 +480,7 @@ class Robot:
         if self._localizer is None:
             return None
         if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
-            self._core = LiveCore(
-                self._localizer, self.settings.live, T_base_lidar, keeper=self.keeper
-            )
+            self._core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
             self.state, self._told = None, None
             for stamp, T in self._odometry:
                 self._core.add_odometry(stamp, T)
@@ -467,11 +519,13 @@ class Robot:
         return replies
 
     def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:
-        settings, believed = self.settings, self.believed
-        T = None if believed is None else believed.T_map_odom
+        settings, current = self.settings, self.pose_state
+        T = None if current is None else current.T_map_odom
+        if settings.tf_when_lost == "keep":
+            T = self._kept = self._kept if T is None else T
         if T is None and self._smooth is not None:
             self._smooth.clear()
-        if T is None or not settings.tells_tf:
+        if T is None or not settings.broadcasts_tf:
             return []
         if 0.0 <= stamp - self._sent_at < 1.0 / settings.tf_rate_hz:
             return []
@@ -488,19 +542,19 @@ class Robot:
             self.state = state
             self._notice_jumps()
             if not self.trigger.resting:
-                replies += self._told_of(state)
+                replies += self._replies_of(state)
             elif self.keeper is not None and (pose := self._now()) is not None:
                 self.keeper.keep(state.stamp, *pose)
         return replies
 
     def _now(self) -> tuple[Pose, Pose, Float64 | None] | None:
         """T_map_base, T_odom_base, and the covariance when it was measured."""
-        believed, state = self.believed, self.state
-        if state is None or believed is None or believed.T_map_odom is None:
+        current, state = self.pose_state, self.state
+        if state is None or current is None or current.T_map_odom is None:
             return None
         if state.T_odom_base is None:
             return None
-        return believed.T_map_odom @ state.T_odom_base, state.T_odom_base, believed.covariance
+        return current.T_map_odom @ state.T_odom_base, state.T_odom_base, current.covariance
 
     def _notice_jumps(self) -> None:
         core = self._core
@@ -514,7 +568,7 @@ class Robot:
             if self.trigger.resting:
                 self._own["jump"] = "the odometry jumped: call ~/relocalize"
 
-    def _told_of(self, state: State) -> list[Reply]:
+    def _replies_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
         if (pose := self._published(state)) is not None:
             replies.append(PoseReply.of(state.stamp, self.settings.map_frame, *pose))
@@ -523,8 +577,10 @@ class Robot:
         elif state.status is Status.LOCALIZED and self._is_news(state):
             self.fixes += 1
             told = self.initial_pose()
-            if self.settings.tells_initialpose and told is not None:
+            if self.settings.sends_initialpose and told is not None:
                 replies.append(told)
+            self.trigger.found(state)
+        elif state.status is Status.LOCALIZED and state.answered is not None:
             self.trigger.found(state)
         return replies
 
@@ -540,7 +596,7 @@ class Robot:
         return smooth @ T_odom_base, state.covariance + np.outer(offset, offset)
 
     def _is_news(self, state: State) -> bool:
-        """Whether a tracker that was told before would now be wrong."""
+        """Return whether the pose that the tracker has is now wrong."""
         if self._told is None or state.T_odom_base is None or state.T_map_base is None:
             return True
         return _MOVED.apart(self._told @ state.T_odom_base, state.T_map_base)

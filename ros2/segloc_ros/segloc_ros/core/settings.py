@@ -1,4 +1,4 @@
-"""The node's parameters: one field each, with its default, its limits and what it means."""
+"""The node's parameters: one field each, with default, limits and description."""
 
 from __future__ import annotations
 
@@ -25,90 +25,124 @@ class Settings(Section):
 
     map: str = Field(
         "",
-        description=".segmap, or folder or URL of tiles; read again when it changes or is set",
+        description=".segmap, cloud, folder or URL of tiles; read again when it changes or is set",
     )
     mode: Literal["initialpose", "tf", "both"] = Field(
-        "initialpose", description="what is told: a pose for a tracker such as AMCL, map -> odom"
+        "initialpose",
+        description="output: poses for a tracker such as AMCL, map -> odom on tf, or both",
     )
     trigger: Literal["until_localized", "periodic", "service"] = Field(
-        "until_localized", description="when it is looked for; tf is best with periodic"
+        "until_localized", description="when to query; periodic for mode tf"
     )
     autostart: bool = Field(
-        True, description="configure and activate at once; false: somebody else does"
+        True, description="configure and activate at once; false: leave that to a lifecycle manager"
     )
 
-    points_topic: str = Field("points", description="sensor_msgs/PointCloud2")
+    points_topic: str = Field("points", description="sensor_msgs/PointCloud2, or Livox's CustomMsg")
     more_points_topics: tuple[str, ...] = Field(
-        (), description="clouds of further LiDARs of the base, merged into those of points_topic"
+        (),
+        description="further LiDARs on the base, whose clouds are merged with points_topic",
     )
     points_tolerance_s: float = Field(
-        0.06, gt=0, le=1, description="largest difference of stamps of clouds that are merged"
+        0.06, gt=0, le=1, description="maximum difference of the stamps of merged clouds"
     )
-    points_reliable: bool = Field(False, description="QoS; best effort takes any publisher")
-    points_depth: int = Field(2, ge=1, le=100, description="QoS: clouds that wait")
+    points_reliable: bool = Field(
+        False, description="QoS reliable; best effort receives from any publisher"
+    )
+    points_depth: int = Field(
+        2, ge=1, le=100, description="QoS depth, and number of clouds that wait"
+    )
     odometry: Literal["topic", "tf", "kiss-icp", "none"] = Field(
         "topic",
-        description="source; kiss-icp: computed from the clouds; none: the robot must stand still",
+        description="source; kiss-icp: computed from the clouds; none: the robot stands still",
     )
     odom_topic: str = Field("odom", description="nav_msgs/Odometry, in; with kiss-icp, out")
-    odom_tf: bool = Field(True, description="with kiss-icp, also broadcast odom -> base_link")
+    odom_tf: bool = Field(True, description="broadcast odom -> base_link with kiss-icp")
     imu_topic: str = Field(
-        "", description="sensor_msgs/Imu: levels an odometry whose z axis is not up; '': none"
+        "", description="sensor_msgs/Imu, to level an odometry whose z axis is not up; '': none"
     )
     fix_topic: str = Field(
-        "", description="sensor_msgs/NavSatFix: where to search first in a georeferenced map"
+        "",
+        description="sensor_msgs/NavSatFix, where to search first in a georeferenced map; '': none",
     )
     click_topic: str = Field(
-        "~/click", description="a rough pose to refine; '': none. initialpose, too, if need be"
+        "initialpose", description="a rough pose, as RViz sends it, to refine; '': none"
     )
-    initialpose_topic: str = Field("initialpose", description="where poses for a tracker go")
+    initialpose_topic: str = Field("initialpose", description="topic of the poses for a tracker")
     set_initial_pose_service: str = Field(
         "", description="AMCL's service, such as set_initial_pose, called as well; '': none"
     )
 
+    grid_service: str = Field(
+        "map_server/load_map",
+        description="of Nav2, called with the grid beside another map that is loaded; '': none",
+    )
+
     map_frame: str = "map"
-    odom_frame: str = Field("odom", description="of odometry by tf; a topic names its own")
+    odom_frame: str = Field("odom", description="frame of odometry by tf; a topic names its own")
     base_frame: str = "base_link"
     base_to_lidar: tuple[float, ...] = Field(
-        (), description="x, y, z (m), roll, pitch, yaw (rad) on base_frame; empty: by tf"
+        (), description="mount x, y, z (m), roll, pitch, yaw (rad) on base_frame; empty: by tf"
     )
 
-    least_m: float = Field(0.05, ge=0, description="least deviation of a pose, metres")
-    least_deg: float = Field(0.3, ge=0, description="and of its angles")
+    least_m: float = Field(
+        0.05, ge=0, description="minimum standard deviation of a position, metres"
+    )
+    least_deg: float = Field(
+        0.3, ge=0, description="minimum standard deviation of an angle, degrees"
+    )
     initialpose_least_m: float = Field(
-        0.25, ge=0, description="the same on initialpose: a particle filter needs room"
+        0.25, ge=0, description="the same for a tracker: a particle filter needs room, metres"
     )
-    initialpose_least_deg: float = Field(5.0, ge=0, description="and for angles")
-    click_radius_m: float = Field(10.0, gt=0, description="it is looked for so near a click")
-    click_s: float = Field(5.0, gt=0, description="and for so long, then anywhere")
+    initialpose_least_deg: float = Field(5.0, ge=0, description="the same for angles, degrees")
+    click_radius_m: float = Field(
+        10.0, gt=0, description="minimum search radius around a rough pose, metres"
+    )
+    click_s: float = Field(
+        5.0, gt=0, description="time to search there before the whole map, seconds"
+    )
     pose_file: str = Field(
-        "", description="file that keeps the pose over a power cycle, checked after boot; '': none"
+        "",
+        description="file that stores the pose over a power cycle, checked after boot; '': none",
     )
-    pose_file_every_s: float = Field(5.0, gt=0, description="time between its writes")
+    pose_file_every_s: float = Field(5.0, gt=0, description="time between its writes, seconds")
     pose_file_max_age_s: float = Field(
-        604_800.0, gt=0, description="an older pose is not used: the robot is found anew"
+        604_800.0, gt=0, description="maximum age of a stored pose, seconds"
     )
 
-    tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="of map -> odom at most")
-    tf_ahead_s: float = Field(0.2, ge=0, le=10, description="map -> odom is post-dated by this")
-    smooth_tf: bool = Field(
-        False, description="correct map -> odom at a bounded rate, without jumps; ~/pose as well"
+    tf_rate_hz: float = Field(20.0, gt=0, le=1000, description="maximum rate of map -> odom")
+    tf_when_lost: Literal["drop", "keep"] = Field(
+        "drop", description="map -> odom of a lost robot: stop it, or keep the last one"
     )
-    smooth_tf_mps: float = Field(0.2, gt=0, description="that rate at the base, metres a second")
-    smooth_tf_dps: float = Field(2.0, gt=0, description="and degrees a second")
-    smooth_tf_jump_m: float = Field(3.0, gt=0, description="a larger correction is made at once")
-    tf_keep_s: float = Field(10.0, gt=0, description="tf is kept for so long")
+    tf_ahead_s: float = Field(
+        0.2, ge=0, le=10, description="time that map -> odom is post-dated by, seconds"
+    )
+    smooth_tf: bool = Field(False, description="correct map -> odom, and ~/pose, at a bounded rate")
+    smooth_tf_mps: float = Field(0.2, gt=0, description="that rate at the base, metres per second")
+    smooth_tf_dps: float = Field(2.0, gt=0, description="and degrees per second")
+    smooth_tf_jump_m: float = Field(
+        3.0, gt=0, description="larger corrections are applied at once, metres"
+    )
+    tf_keep_s: float = Field(10.0, gt=0, description="history of tf, seconds")
 
-    query_every_m: float = Field(10.0, ge=0, description="travel between queries")
-    query_every_s: float = Field(5.0, gt=0, description="and time")
-    query_every_lost_s: float = Field(1.0, gt=0, description="time between queries while lost")
-    deadline_ms: float = Field(1000.0, gt=0, description="a query ends soon after this")
-    threads: int = Field(1, ge=0, le=1024, description="of a query; 0: all cores")
-    service_timeout_s: float = Field(20.0, gt=0, description="~/relocalize answers within this")
-    silent_s: float = Field(2.0, gt=0, description="without clouds for longer it is degraded")
+    query_every_m: float = Field(10.0, ge=0, description="distance between queries, metres")
+    query_every_s: float = Field(5.0, gt=0, description="maximum time between queries, seconds")
+    query_every_lost_s: float = Field(
+        1.0, gt=0, description="the same while lost or candidate, seconds"
+    )
+    deadline_ms: float = Field(
+        1000.0, gt=0, description="time after which a query tries no more candidates, ms"
+    )
+    threads: int = Field(1, ge=0, le=1024, description="threads of a query; 0: all cores")
+    service_timeout_s: float = Field(
+        20.0, gt=0, description="time after which ~/relocalize answers, seconds"
+    )
+    silent_s: float = Field(2.0, gt=0, description="time without clouds until degraded, seconds")
 
-    map_cloud_points: int = Field(200_000, ge=0, description="on ~/map_cloud; 0: it is not sent")
-    matches: bool = Field(True, description="whether ~/matches shows what was matched")
+    map_cloud_points: int = Field(
+        200_000, ge=0, description="maximum number of points on ~/map_cloud; 0: not published"
+    )
+    matches: bool = Field(True, description="publish the matches of each query on ~/matches")
 
     @field_validator("map_frame", "odom_frame", "base_frame")
     @classmethod
@@ -126,7 +160,7 @@ class Settings(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Settings:
-        if self.odometry == "none" and (self.tells_tf or self.trigger == "periodic"):
+        if self.odometry == "none" and (self.broadcasts_tf or self.trigger == "periodic"):
             raise ValueError("odometry none: mode tf and trigger periodic need one")
         return self
 
@@ -153,18 +187,18 @@ class Settings(Section):
             )
 
     @property
-    def tells_tf(self) -> bool:
+    def broadcasts_tf(self) -> bool:
         """Whether map -> odom is broadcast."""
         return self.mode in ("tf", "both")
 
     @property
-    def tells_initialpose(self) -> bool:
+    def sends_initialpose(self) -> bool:
         """Whether poses go to a tracker."""
         return self.mode in ("initialpose", "both")
 
     @property
     def mount(self) -> Pose | None:
-        """T_base_lidar, (4, 4) float64, where a parameter says it."""
+        """T_base_lidar, (4, 4) float64; None without a parameter."""
         if not self.base_to_lidar:
             return None
         x, y, z, *angles = self.base_to_lidar
@@ -173,21 +207,21 @@ class Settings(Section):
 
     @property
     def merger(self) -> ScanMerger | None:
-        """What merges the clouds of several LiDARs."""
+        """Merges the clouds of several LiDARs; None for one."""
         if not self.more_points_topics:
             return None
         return ScanMerger(self.points_topic, self.more_points_topics, self.points_tolerance_s)
 
     @property
     def smooth(self) -> SmoothTransform | None:
-        """What corrects map -> odom without jumps."""
+        """Corrects map -> odom at a bounded rate; None if off."""
         if not self.smooth_tf:
             return None
         return SmoothTransform(self.smooth_tf_mps, self.smooth_tf_dps, self.smooth_tf_jump_m)
 
     @property
     def keeper(self) -> PoseKeeper | None:
-        """What keeps the pose over a power cycle."""
+        """Stores the pose over a power cycle; None without a file."""
         if not self.pose_file:
             return None
         return PoseKeeper(
@@ -200,7 +234,7 @@ class Settings(Section):
 
     @property
     def live(self) -> LiveConfig:
-        """How the robot is followed."""
+        """Settings of the live localizer."""
         return LiveConfig(
             tracker=TrackerConfig(accumulate=True, every_m=self.query_every_m),
             every_s=self.query_every_s,

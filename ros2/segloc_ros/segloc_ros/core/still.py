@@ -21,7 +21,7 @@ _OFFSET = 1 << 20
 
 
 class StillClouds:
-    """Compares clouds with earlier ones as they are, and moved as the odometry says.
+    """Compares clouds with earlier ones, unmoved and moved by the odometry.
 
     Vertical structure is compared, in cells seen from above: a flat floor looks the same from
     everywhere. Two comparisons in a row decide, over 2 m or more: one alone may be a jump.

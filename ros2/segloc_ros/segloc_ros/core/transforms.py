@@ -73,7 +73,7 @@ class _Joint:
             self.driven_s = min(self.driven_s, stamp)
 
     def restart(self, T_odom_body: Pose | None) -> None:
-        """Begin to wait for the robot's motion anew."""
+        """Wait for the robot's motion again."""
         self.T_odom_body, self.driven_s = T_odom_body, math.inf
 
     def update(self, stamp: float, T: Pose, T_odom_body: Pose | None) -> bool:

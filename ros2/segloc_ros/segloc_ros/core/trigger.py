@@ -1,4 +1,4 @@
-"""When the robot is looked for, and near what."""
+"""When to search for the robot, and near which prior."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from segloc.live import State
 
 
 class Trigger:
-    """Awake it looks for the robot; at rest what was found holds, by odometry alone.
+    """Whether queries are made; at rest the pose that was found follows the odometry.
 
     Parameters
     ----------
     kind : str
-        ``periodic``: always awake. ``until_localized``: until it is found. ``service``: only from
-        a call until it is found.
+        ``periodic``: always. ``until_localized``: until the robot is found. ``service``: from a
+        call until the robot is found.
     prior_s : float
-        So long a prior counts, seconds from the first query on.
+        Time that a prior is used, from the first query on [s].
 
     Attributes
     ----------
     resting : bool
     held : State or None
-        What was found before it came to rest.
+        The state in which the robot was found before rest.
     """
 
     def __init__(
@@ -38,12 +38,12 @@ class Trigger:
         self._anywhere = True
 
     def wake(self, prior: Prior | None = None, anywhere: bool = True) -> None:
-        """Look for it: near a prior first, then anywhere, or not at all."""
+        """Search near a prior first, then anywhere, or with ``anywhere`` False not at all."""
         self.resting, self.held = False, None
         self._prior, self._until, self._anywhere = prior, math.inf, anywhere
 
     def near(self, stamp: float) -> Prior | None:
-        """Where alone a query of that time may look; None: anywhere."""
+        """Return the prior of a query at a time; None for the whole map."""
         if self._prior is not None and math.isinf(self._until):
             self._until = stamp + self._prior_s
         if self._prior is not None and stamp > self._until:
@@ -52,12 +52,12 @@ class Trigger:
         return self._prior
 
     def found(self, state: State) -> None:
-        """It is localized."""
+        """Rest, unless periodic: the robot is localized."""
         self._prior = None
         if self.kind != "periodic":
             self.resting, self.held = True, state
 
     def lose(self) -> None:
-        """What was found holds no longer: look again, where that is allowed without a call."""
+        """Drop the pose, and search again if that needs no call."""
         self.held = None
         self.resting = self.kind == "service"

@@ -1,4 +1,4 @@
-"""Which way is up in the odometry's frame, by an IMU: for odometries that begin as they stand."""
+"""Level an odometry whose origin has the sensor's initial tilt, by an IMU."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MOST = 2048
 
 
 class Upright:
-    """Gathers accelerations at rest until they tell how the odometry's frame stands.
+    """Estimates the tilt of the odometry's frame from accelerations at rest.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Upright:
         self._kept: deque[tuple[float, Float64]] = deque(maxlen=_MOST)
 
     def add(self, stamp: float, acceleration: Float64) -> None:
-        """An accelerometer's (3,) reading, m/s2 or g, in the frame of the IMU."""
+        """Add a reading (3,), m/s2 or g, in the frame of the IMU."""
         if self._kept and stamp < self._kept[-1][0]:
             self._kept.clear()
         self._kept.append((stamp, acceleration))
@@ -35,7 +35,7 @@ class Upright:
             self._kept.popleft()
 
     def settle(self, T_odom_imu: Pose) -> bool:
-        """Whether it is known by now, where the IMU stands so in the odometry's frame."""
+        """Return whether the tilt is known, given the pose of the IMU by the odometry."""
         if self.T_level_odom is not None:
             return True
         if not self._kept or self._kept[-1][0] - self._kept[0][0] < HALF_WINDOW_S:

@@ -1,0 +1,58 @@
+"""Facts about a map, as JSON values and as a table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..system.text import counted
+from .georeference import Georeference
+
+SOURCE, CLOUD = "source", "cloud"
+"""Key of the metadata, and its value for maps of one finished cloud."""
+CLOUD_FRAME = "T_map_cloud"
+"""Key of the metadata: transform from the frame of a finished cloud that was levelled."""
+VIEWPOINTS, LATTICE = "viewpoints", "lattice"
+"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
+space is known."""
+_MAX_TEXT = 200
+
+
+class MapInfo(dict[str, Any]):
+    """Facts by name, as JSON values; printed as a table."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts in words, with units."""
+        metadata = self["metadata"]
+        extent = " x ".join(f"{metres:.0f}" for metres in self["extent_m"])
+        rows = [
+            ("descriptor", f"{self['descriptor']}, {self['dim']} numbers ({self['fingerprint']})"),
+            ("segments", f"{self['segments']}"),
+            *self._poses_rows(),
+            ("cloud", f"{self['cloud_points']} points, one per {self['cloud_voxel_m']:g} m"),
+            ("extent", f"{extent} m"),
+            ("in memory", f"{self['memory_bytes'] / 1e6:.1f} MB"),
+        ]
+        if CLOUD in metadata.get(SOURCE, ""):
+            spacing = metadata.get("cloud_spacing_m", "unknown")
+            rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
+        if frame := metadata.get("frame"):
+            rows.append(("frame", frame[:_MAX_TEXT]))
+        if (where := Georeference.of(metadata)) is not None:
+            rows.append(("georeference", str(where)))
+        return rows
+
+    def _poses_rows(self) -> list[tuple[str, str]]:
+        """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""
+        chosen = self["viewpoints"]
+        driven, sessions = self["poses"] - chosen, counted(self["sessions"], "sessions")
+        rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
+        if chosen:
+            lattice = LATTICE in self["metadata"].get(VIEWPOINTS, "")
+            where = "on a lattice, since there is no ground" if lattice else "on free ground"
+            rows.append(("viewpoints", f"{chosen} {where}"))
+        return rows
+
+    def __str__(self) -> str:
+        rows = self.rows()
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
