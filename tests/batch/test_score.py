@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from segloc.batch.picture import draw, draw_errors
+from segloc.batch.report import summary_rows
 from segloc.batch.run import query_positions
 from segloc.batch.score import (
     RECORD,
     SUMMARY,
     Evaluation,
     Tolerance,
+    distances_to_map,
     distances_to_path,
     pose_errors,
 )
@@ -77,6 +79,33 @@ def test_distance_to_the_path_is_horizontal() -> None:
     broken = line([0, 10, 20, 90])
     assert distances_to_path(line([55]), broken) == pytest.approx([35.0])
     assert np.isinf(distances_to_path(path, np.empty((0, 4, 4)))).all()
+
+
+def test_a_finished_cloud_covers_what_its_surfaces_surround() -> None:
+    """Two walls of 60 m, 15 m apart; viewpoints stand behind them."""
+    walls = [np.arange(0, 60, 0.5), np.zeros(120), np.ones(120)]
+    origin = np.array([500.0, 900.0, 0.0])
+    site = SegmentMap.empty("geo", "f" * 16, 5, origin, cloud_voxel=0.3)
+    site.add_cloud(np.column_stack(walls) + origin)
+    site.add_cloud(np.column_stack(walls) + [0, 15, 0] + origin)
+    site.add_trajectory(np.stack([pose(500 + x, 940) for x in (0, 30, 60)]))
+    at = [(30, 7.5), (30, -2), (30, 25), (75, 0)]
+    truths = np.stack([pose(500 + x, 900 + y) for x, y in at])
+    results = [result(truths[0]), *3 * [result(None)]]
+    site.metadata |= {"source": "cloud", "viewpoints": "lattice"}
+    scored = Evaluation(np.arange(4), results, site, truths)
+    assert scored.distance_to_map == pytest.approx([0, 2, 10, 15], abs=1.0)
+    assert scored.within_coverage.tolist() == [True, True, False, False]
+    coarse = SegmentMap.empty("geo", "f" * 16, 2, origin)
+    corners = origin + np.array([[x, y, 1.0] for x in range(0, 60, 10) for y in (0, 15)])
+    segments = Descriptors(np.ones((len(corners), 2), np.float32))
+    sizes = np.ones(len(corners), np.int64)
+    coarse.add(segments, corners, sizes, session=0, stamp=0.0, cloud=np.empty((0, 3)))
+    coarse.metadata["source"] = "cloud"
+    assert distances_to_map(truths, coarse)[:3] == pytest.approx([0, 2, 10], abs=1.0)
+    far = Evaluation(np.arange(2), results[2:], site, truths[2:])
+    assert ("correct, of those within map coverage", "1 of 2") in summary_rows(scored.summary())
+    assert ("within map coverage", "none") in summary_rows(far.summary())
 
 
 def result(T: np.ndarray | None, reason: str = "ambiguous", ms: float = 10.0) -> Localization:
@@ -164,6 +193,10 @@ def test_drawing(evaluation: Evaluation) -> None:
     pictures.append(draw(prior_map, evaluation, "a town"))
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert draw(prior_map, evaluation, "a town") == pictures[-1]
+    assert b"trajectory of the map" in pictures[-1] and b"viewpoints" not in pictures[-1]
+    prior_map.metadata["source"] = "cloud"  # chosen viewpoints, which nobody drove between
+    drawn = draw(prior_map, evaluation, "a town")
+    assert b"viewpoints of the map" in drawn and b"trajectory of the map" not in drawn
     assert draw_errors(prior_map, evaluation, "a town").startswith(b"\x89PNG")
 
 

@@ -14,14 +14,19 @@ from samples.walk import run
 from scipy.spatial.transform import Rotation
 
 from segloc import ConfigError, DatasetError, SegmentMap, geometry
+from segloc.batch import Evaluation
 from segloc.cli.align import _write
+from segloc.cli.results import write_results
 from segloc.export import export
 from segloc.export.formats import Options
 from segloc.export.tracks import Place
+from segloc.geometry import ros_covariance
 from segloc.io import Trajectory, read_scan, read_trajectory, write_tum
+from segloc.localization import Localized, NotLocalized, Reason
 from segloc.loops import AlignConfig, Alignment
 from segloc.loops.loops import Loop
 from segloc.loops.summary import RECORD, summary
+from segloc.map.georeference import KEY, Georeference
 from segloc.types import Descriptors, Float64
 
 
@@ -240,6 +245,90 @@ def test_paths_are_lines_that_break_where_the_path_does(tmp_path: Path) -> None:
     lonlat = place.degrees(np.array([[731.7, 0.0], [0.0, 1112.2]]))
     assert np.allclose(lonlat, [[8.41, 49.0], [8.4, 49.01]], atol=2e-6)
     assert export(path, "geojson", tmp_path / "c.geojson", Options(place=place)) == []
+
+
+def found_in(folder: Path, prior_map: SegmentMap, stamp: float) -> Localized:
+    """Write results of two queries, of which the first is localized."""
+    rng = np.random.default_rng(5)
+    half = rng.normal(size=(6, 6))
+    covariance = 1e-4 * (half @ half.T + np.eye(6))
+    T = turned(30.0, 0.5, 0.0)
+    found = Localized(T_map_sensor=T, covariance=covariance, confidence=0.99, stamp=stamp)
+    lost = NotLocalized(reason=Reason("ambiguous"), message="so", stamp=stamp + 1.0)
+    scored = Evaluation(np.array([7, 9]), [found, lost], prior_map)
+    write_results(folder, prior_map, scored, {})
+    return found
+
+
+def test_poses_found_are_points_with_what_is_known_of_them(tmp_path: Path) -> None:
+    prior_map = SegmentMap.empty("geo", "f" * 16, 5)
+    where = Georeference(25832, (691_600.0, 5_336_000.0, 520.0))
+    prior_map.metadata[KEY] = where.to_text()
+    found = found_in(tmp_path / "found", prior_map, 1.7e9 + 0.25)
+    out = tmp_path / "a.geojson"
+    assert export(tmp_path / "found", "geojson", out, Options(epsg=25832)) == []
+    (feature,) = json.loads(out.read_text())["features"]
+    assert feature["geometry"]["type"] == "Point"
+    at = np.array(feature["geometry"]["coordinates"])
+    assert at - where.origin_m == pytest.approx(found.T_map_sensor[:3, 3], abs=1e-3)
+    known = feature["properties"]
+    assert (known["name"], known["index"], known["stamp"]) == ("found", 7, 1.7e9 + 0.25)
+    assert known["time"] == "2023-11-14T22:13:20.250+00:00"
+    assert known["yaw_deg"] == pytest.approx(np.degrees(0.5), abs=0.01)
+    assert known["confidence"] == 0.99
+    expected = ros_covariance(found.covariance, found.T_map_sensor)
+    assert np.array(known["covariance"]) == pytest.approx(expected, rel=1e-3)
+    with pytest.raises(ConfigError, match="the map is in EPSG:25832"):
+        export(tmp_path / "found", "geojson", out, Options(epsg=25833))
+    pytest.importorskip("pyproj")
+    assert export(tmp_path / "found", "geojson", out) == []
+    (feature,) = json.loads(out.read_text())["features"]
+    back = where.in_map(np.array([feature["geometry"]["coordinates"]]))
+    assert back[0] == pytest.approx(found.T_map_sensor[:3, 3], abs=2e-3)
+
+
+def test_a_drive_is_a_line_and_its_poses(tmp_path: Path) -> None:
+    found = results(tmp_path / "drive", True)
+    T = turned(3.0, 0.1, 0.0)
+    states = [{"index": 0}, {"index": 1, "stamp": 2.0, "T_map_base": T.tolist()}]
+    (found / "states.jsonl").write_text("".join(json.dumps(state) + "\n" for state in states))
+    export(found, "geojson", tmp_path / "a.geojson")
+    line, point = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert line["geometry"]["type"] == "MultiLineString" and line["properties"]["poses"] == 4
+    assert point["geometry"]["coordinates"] == [3.0, 1.5, 0.1]
+    assert point["properties"]["index"] == 1 and point["properties"]["covariance"] is None
+    for damaged in ([[1, 2]], "text", np.zeros((4, 4)).tolist()):
+        (found / "states.jsonl").write_text(json.dumps({"T_map_base": damaged}))
+        with pytest.raises(DatasetError, match=r"states\.jsonl: T_map_base: damaged"):
+            export(found, "geojson", tmp_path / "a.geojson")
+
+
+def test_poses_in_a_levelled_cloud_are_brought_into_its_own_frame(tmp_path: Path) -> None:
+    prior_map, T_map_cloud = SegmentMap.empty("geo", "f" * 16, 5), turned(4.0, 0.3, 0.2)
+    prior_map.metadata["T_map_cloud"] = json.dumps(T_map_cloud.tolist())
+    T_cloud_sensor = (
+        np.linalg.inv(T_map_cloud) @ found_in(tmp_path / "found", prior_map, 3.0).T_map_sensor
+    )
+    options = Options(in_cloud=True)
+    export(tmp_path / "found", "tum", tmp_path / "a.tum", options)
+    assert read_trajectory(tmp_path / "a.tum").poses[0] == pytest.approx(T_cloud_sensor, abs=1e-8)
+    (note,) = export(tmp_path / "found", "geojson", tmp_path / "a.geojson", options)
+    (feature,) = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert "metres" in note and feature["properties"]["time"] is None
+    assert feature["geometry"]["coordinates"] == pytest.approx(T_cloud_sensor[:3, 3], abs=1e-3)
+
+
+def test_viewpoints_of_a_finished_cloud_are_no_drive(tmp_path: Path) -> None:
+    path, _ = map_at(tmp_path, (100.0, -20.0, 3.0))
+    prior_map = SegmentMap.load(path)
+    prior_map.metadata["source"] = "cloud"
+    prior_map.add_trajectory(np.stack([np.eye(4)] * 3))
+    prior_map.save(path)
+    export(path, "geojson", tmp_path / "a.geojson")
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    kinds = [(f["geometry"]["type"], len(f["properties"])) for f in features]
+    assert kinds == [("MultiLineString", 2), ("MultiPoint", 2)]
+    assert [features[0]["properties"]["poses"], features[1]["properties"]["viewpoints"]] == [8, 4]
 
 
 def test_what_makes_no_sense_is_one_clear_line(

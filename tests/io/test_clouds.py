@@ -11,7 +11,7 @@ from samples.io import pcd, ply
 
 from segloc import DatasetError, geometry
 from segloc.io import clouds, text, write_scan
-from segloc.io.clouds import read_cloud
+from segloc.io.clouds import cloud_files, count_points, read_cloud
 from segloc.io.las import format_laz
 from segloc.types import Float64
 
@@ -54,6 +54,7 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
     (tmp_path / name).write_bytes(data)
     parts = list(read_cloud(tmp_path / name))
     assert len(parts) >= 3
+    assert count_points(tmp_path / name) == pytest.approx(2500, rel=0.001)
     assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
 
 
@@ -65,9 +66,28 @@ def test_scans_of_an_e57_file_are_read_where_they_stand(tmp_path: Path, points: 
     scans = (points[:100], (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (inside, quarter_turn, (*UTM,))
     (tmp_path / "a.e57").write_bytes(e57_file(*scans))
     assert np.abs(read(tmp_path / "a.e57") - points).max() < 1e-6
+    assert count_points(tmp_path / "a.e57") == len(points)
     (tmp_path / "b.e57").write_bytes(b"ASTM-E57" + bytes(100))
     with pytest.raises(DatasetError, match=r"b\.e57: cannot read the E57 file"):
         read(tmp_path / "b.e57")
+
+
+def test_files_of_several_folders_are_placed_by_their_poses(
+    tmp_path: Path, points: Float64
+) -> None:
+    names = [f"{folder}/{k}.ply" for folder in "ba" for k in (2, 10, 11)]
+    poses = np.stack([geometry.yaw_transform(0.3 * k, (k, 2.0, 1.0)) for k in range(len(names))])
+    parts = np.array_split(points, len(names))
+    for name, T, part in zip(names, poses, parts, strict=True):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_scan(tmp_path / name, geometry.transform(geometry.inverse(T), part))
+    given = [tmp_path / "b", tmp_path / "a", tmp_path / "b" / "2.ply"]
+    files = cloud_files(given)
+    assert files == [tmp_path / name for name in names]
+    assert [count_points(file) for file in files] == [len(part) for part in parts]
+    assert np.abs(np.concatenate(list(read_cloud(given, poses=poses))) - points).max() < 1e-4
+    with pytest.raises(DatasetError, match="5 poses for 6 files"):
+        next(read_cloud(given, poses=poses[:5]))
 
 
 def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:

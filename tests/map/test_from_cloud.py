@@ -13,9 +13,12 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.walk import run
 from scipy.spatial.transform import Rotation
 
-from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap
+from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
+from segloc.cli.map_info import show
+from segloc.io import Trajectory, write_tum
 from segloc.map import voxel_cloud
 from segloc.map.from_cloud import ThinCloud
+from segloc.map.georeference import Georeference
 from segloc.map.viewpoints import Occluders, Sight
 from segloc.types import Float64
 
@@ -100,7 +103,7 @@ def test_what_a_wall_hides_is_not_seen_and_the_wall_is_along_all_its_length() ->
     assert not sight.sees(wall + [1.5, 0, 0])[np.abs(y) < 15].any()
 
 
-def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
+def test_a_cloud_without_ground_is_seen_from_a_lattice(capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(-20, 20, (30, 2))
     poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
@@ -108,7 +111,11 @@ def test_a_cloud_without_ground_is_seen_from_a_lattice() -> None:
     site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, note=notes.append)
     assert len(site) and len(site.trajectory) > 1
     assert not len(site.sensor_positions)
-    assert any("no ground" in note and "--trajectory" in note for note in notes)
+    (told,) = notes
+    assert "no ground: 0.0% of the area" in told and "--trajectory" in told
+    assert f"{len(site.trajectory)} viewpoints lie 8 m apart" in told
+    show(site, "")
+    assert f"{len(site.trajectory)} on a lattice" in capsys.readouterr().out
 
 
 def test_what_is_no_cloud_is_refused() -> None:
@@ -155,6 +162,32 @@ def test_a_cloud_in_another_unit_or_frame_is_refused_before_the_work(
     (error,) = capsys.readouterr().err.splitlines()
     assert cause in error and remedy in error
     assert not out.exists()
+
+
+def test_submaps_are_mapped_in_one_call_and_the_work_is_told_before(
+    site: SegmentMap,
+    plaza: Plaza,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("segloc.map.from_cloud._LONG_S", 0.1)
+    poses = np.stack([geometry.yaw_transform(0.5 * k, (3.0 * k, 1.0, 0.0)) for k in range(3)])
+    files = []
+    for k, part in enumerate(np.array_split(plaza.points, 3)):
+        inside = geometry.transform(geometry.inverse(poses[k]), part)
+        files.append(pcd_file(tmp_path / f"{k}.pcd", inside))
+    write_tum(tmp_path / "submaps.tum", Trajectory(np.arange(3.0), poses))
+    placed, out = ("--poses", tmp_path / "submaps.tum"), tmp_path / "a.segmap"
+    told = ("--epsg", 25832, "--origin", "500000,5400000")
+    assert run("map", "from-cloud", *files, *placed, *told, "--out", out, "--threads", 1) == 0
+    work = capsys.readouterr().err.splitlines()[0]
+    assert f"{len(plaza.points) / 1e6:.1f} million points in 3 files by their headers" in work
+    assert "minutes of processor time" in work and "GB of memory" in work
+    built = SegmentMap.load(out)
+    assert built.metadata["sequence"] == "0.pcd and 2 more"
+    assert Georeference.of(built.metadata) == Georeference(25832, (5e5, 5.4e6, 0.0))
+    assert len(built) == pytest.approx(len(site), rel=0.1)
 
 
 def test_digits_that_float32_lost_are_refused_with_their_step(

@@ -66,7 +66,14 @@ def furnish(root: Path) -> Path:
     saturday = walk(-6.0 + 0.2 * FOLDERS.index("saturday"))
     write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), saturday.poses))
     write_scan(root / "scan.pcd", points_of(first, 4))
-    write_scan(root / "cloud.pcd", Plaza(1, objects=90).points)
+    points = Plaza(1, objects=90).points
+    write_scan(root / "cloud.pcd", points)
+    (root / "submaps").mkdir()
+    for name, part in zip(("north", "south"), np.array_split(points, 2), strict=True):
+        write_scan(root / f"{name}.pcd", part)
+        write_scan(root / "submaps" / f"{name}.pcd", part - [5.0, 0.0, 0.0])
+    T = geometry.yaw_transform(0.0, (5.0, 0.0, 0.0))
+    write_tum(root / "submaps.tum", Trajectory(np.arange(2), np.stack([T, T])))
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
     return root
 

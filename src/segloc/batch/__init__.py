@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .score import PATH_BREAK_M as PATH_BREAK_M
     from .score import Evaluation as Evaluation
     from .score import Tolerance as Tolerance
+    from .score import distances_to_map as distances_to_map
     from .score import distances_to_path as distances_to_path
     from .score import pose_errors as pose_errors
 else:
@@ -22,6 +23,6 @@ else:
         {
             "run": "localize_sequence query_clouds query_positions",
             "score": "COVERAGE_RADIUS_M PATH_BREAK_M Evaluation Tolerance "
-            "distances_to_path pose_errors",
+            "distances_to_map distances_to_path pose_errors",
         },
     )

@@ -51,7 +51,8 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
 
     A localized query is a green dot with an arrow for its heading, a false one a red dot connected
     to its true position. One that was not localized is hollow, at its true position if known, with
-    a marker for the reason. The true trajectory is a blue line.
+    a marker for the reason. The true trajectory is a blue line. Viewpoints of a finished cloud are
+    dots.
 
     Returns
     -------
@@ -85,13 +86,15 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
 
 
 def _draw_map(axes: Axes, prior_map: SegmentMap, low: Float64, high: Float64) -> None:
-    """Set up a ground plan of the map with coordinates: its cloud, and where it was driven."""
+    """Set up a ground plan of the map with coordinates: its cloud, its drives and viewpoints."""
     plan(axes, low, high)
     where = Georeference.of(prior_map.metadata)
     coordinates(axes, ("x, m", "y, m") if where is None else ("x (east), m", "y (north), m"))
     density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
-    path = prior_map.trajectory[prior_map.is_driven]
-    _draw_path(axes, path[:, :2, 3], color=PATH, label="trajectory of the map")
+    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
+    _draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
+    if not driven.all():
+        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
     scale(axes)
 
 

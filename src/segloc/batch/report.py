@@ -106,8 +106,11 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows.append(("localized", str(summary["localized"])))
     if summary["correct"] is not None:
         rows += [("  correct", str(summary["correct"])), ("  false", str(summary["false"]))]
-        found = f"{summary['within_coverage_correct']} of {summary['within_coverage']}"
-        rows.append(("correct, of those within map coverage", found))
+        if covered := summary["within_coverage"]:
+            found = f"{summary['within_coverage_correct']} of {covered}"
+            rows.append(("correct, of those within map coverage", found))
+        else:
+            rows.append(("within map coverage", "none"))
         rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
     rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]

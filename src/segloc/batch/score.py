@@ -9,14 +9,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..localization import Localization
-from ..types import Bools, Float64, Int64, Pose
+from ..map.info import CLOUD, SOURCE
+from ..map.segment_map import SegmentMap
+from ..types import Bools, Float64, Int64
 
 COVERAGE_RADIUS_M = 3.0
-"""Maximum distance from the map's trajectory within map coverage [m]."""
+"""Maximum distance from the space that the map covers, within map coverage [m]."""
+
+SURROUNDED_M = 20.0
+"""A finished cloud covers gaps between its surfaces up to this width [m]."""
 
 PATH_BREAK_M = 35.0
 """Poses of a map's trajectory farther apart are not connected [m]."""
@@ -33,6 +39,7 @@ STAGES = (
     "total",
 )
 _PATH_STEP_M = 0.5
+_CELL_M, _MAX_CELLS = 1.0, 16e6  # of the space that a finished cloud covers
 
 
 RECORD = {
@@ -42,6 +49,8 @@ RECORD = {
     "reason": "null when localized; else a member of `segloc.Reason`, such as `ambiguous`",
     "message": "the reason as a sentence with its figures; empty when localized",
     "T_map_sensor": "4 rows of 4 numbers, or null",
+    "covariance": "6 rows of 6 numbers, or null: covariance of `T_map_sensor`, of a small rotation "
+    "[rad], then a translation [m], both in the sensor's frame; six digits",
     "attitude": "source of the query's roll and pitch: `given` (a pose or gravity), `estimated` "
     "(from the scan) or `assumed`",
     "inliers": "distinct query segments that agree with the best pose",
@@ -61,7 +70,7 @@ RECORD = {
     "rotation_error_deg": "with `--truth`: angle to the true rotation; null if not localized",
     "correct": "with `--truth`: within the tolerance",
     "distance_to_map_m": "with `--truth`: horizontal distance of the true position from the mapped "
-    "trajectory",
+    "trajectory; in a map of a finished cloud, from its surfaces and gaps between them up to 20 m",
     "ms": "milliseconds of each stage, and `total`",
 }
 """Keys of a line of ``localizations.jsonl`` and their meaning."""
@@ -78,7 +87,7 @@ SUMMARY = {
     "rotation_error_deg": "the same in degrees",
     "ms": "median milliseconds of each stage",
     "reasons": "count of each reason",
-    "within_coverage": "with `--truth`: queries within map coverage (3 m of the mapped trajectory)",
+    "within_coverage": "with `--truth`: queries within map coverage (`distance_to_map_m` up to 3)",
     "within_coverage_correct": "with `--truth`: correct ones within map coverage",
 }
 """Keys of ``summary.json`` and their meaning."""
@@ -133,6 +142,45 @@ def distances_to_path(poses: Float64, path: Float64) -> Float64:
     return np.asarray(distances, dtype=np.float64)
 
 
+def distances_to_map(poses: Float64, prior_map: SegmentMap) -> Float64:
+    """Return the horizontal distance of each pose from the space that a map covers.
+
+    That is its trajectory; of a finished cloud, its surfaces (in tiles, whose common map has no
+    cloud, its segments) and the gaps between them that are at most ``SURROUNDED_M`` wide.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+    prior_map : SegmentMap
+
+    Returns
+    -------
+    (N,) float64
+        Metres.
+    """
+    points = prior_map.cloud if len(prior_map.cloud) else prior_map.centroids - prior_map.origin
+    if CLOUD not in prior_map.metadata.get(SOURCE, "") or not len(points):
+        return distances_to_path(poses, prior_map.trajectory)
+    places = _surrounded(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
+    distances, _ = cKDTree(places).query(poses[:, :2, 3])
+    return np.asarray(distances, dtype=np.float64)
+
+
+def _surrounded(points: Float64) -> Float64:
+    """Return the middle of cells with points (N, 2), and of those between them."""
+    low, reach = points.min(axis=0), SURROUNDED_M / 2
+    edge = max(_CELL_M, math.sqrt(float(np.prod(np.ptp(points, axis=0) + 4 * reach)) / _MAX_CELLS))
+    spare = math.ceil(reach / edge) + 1
+    cells = np.floor((points - low) / edge).astype(np.int64) + spare
+    empty = np.ones(cells.max(axis=0) + spare + 1, dtype=bool)
+    empty[tuple(cells.T)] = False
+    near = distance_transform_edt(empty) <= reach / edge
+    inside = distance_transform_edt(near) > reach / edge
+    inside |= ~empty
+    middles: Float64 = (np.argwhere(inside) - spare + 0.5) * edge + low
+    return middles
+
+
 class Evaluation:
     """Results of N queries, and the truth if known.
 
@@ -141,8 +189,8 @@ class Evaluation:
     indices : (N,) int64
         Scan numbers of the queries.
     results : list of N Localization
-    path : (V, 4, 4) float64
-        The map's trajectory.
+    covered : SegmentMap, or (V, 4, 4) float64
+        The map, or its trajectory.
     truths : (N, 4, 4) float64, optional
         True T_map_sensor.
 
@@ -150,8 +198,8 @@ class Evaluation:
     ----------
     localized, correct, false, within_coverage : (N,) bool
         ``correct`` and ``false`` split the localized queries; ``within_coverage`` are those with a
-        true position within ``COVERAGE_RADIUS_M`` of the map's trajectory. All False without
-        truths.
+        true position within ``COVERAGE_RADIUS_M`` of the space that the map covers. All False
+        without truths.
     translation_error, rotation_error, distance_to_map : (N,) float64
         Metres, degrees, metres; NaN if unknown.
     """
@@ -160,7 +208,7 @@ class Evaluation:
         self,
         indices: Int64,
         results: list[Localization],
-        path: Float64,
+        covered: SegmentMap | Float64,
         truths: Float64 | None = None,
         tolerance: Tolerance | None = None,
     ) -> None:
@@ -175,7 +223,11 @@ class Evaluation:
             found = np.flatnonzero(self.localized)
             errors = pose_errors(self.positions_found(), truths[found])
             self.translation_error[found], self.rotation_error[found] = errors
-            self.distance_to_map = distances_to_path(truths, path)
+            self.distance_to_map = (
+                distances_to_map(truths, covered)
+                if isinstance(covered, SegmentMap)
+                else distances_to_path(truths, covered)
+            )
         self.correct: Bools = (self.translation_error <= tolerance.metres) & (
             self.rotation_error <= tolerance.degrees
         )
@@ -245,6 +297,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
         "T_map_sensor": _nested(result.T_map_sensor),
+        "covariance": _rounded(result.covariance),
         "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
@@ -266,8 +319,15 @@ def _record(result: Localization) -> dict[str, Any]:
     }
 
 
-def _nested(pose: Pose | None) -> list[list[float]] | None:
-    return None if pose is None else np.asarray(pose, dtype=np.float64).tolist()
+def _nested(matrix: Float64 | None) -> list[list[float]] | None:
+    return None if matrix is None else np.asarray(matrix, dtype=np.float64).tolist()
+
+
+def _rounded(matrix: Float64 | None) -> list[list[float]] | None:
+    """Return rows of numbers of six digits, each row a short line."""
+    if matrix is None:
+        return None
+    return [[float(f"{value:.6g}") for value in row] for row in matrix]
 
 
 def _finite(value: float | None) -> float | None:

@@ -61,7 +61,7 @@ def _evaluate(localizer: Localizer, drive: SampleDrive, label: str, shift_m: flo
         results = localize_sequence(localizer, drive, positions, update)
     truths = drive.truth[positions].copy()
     truths[:, 0, 3] += shift_m
-    return Evaluation(drive.indices[positions], results, localizer.prior_map.trajectory, truths)
+    return Evaluation(drive.indices[positions], results, localizer.prior_map, truths)
 
 
 def _show(again: dict[str, Any], other: dict[str, Any], title: str) -> None:

@@ -15,7 +15,7 @@ EpsgOfLines = Annotated[
     typer.Option(
         min=1,
         metavar="CODE",
-        help="EPSG code of the map's frame, for GeoJSON.",
+        help="EPSG code of the map's frame: GeoJSON in its metres, not in degrees.",
         show_default="unknown",
     ),
 ]
@@ -66,13 +66,19 @@ def export(
     ] = 0.6,
     epsg: EpsgOfLines = None,
     at: OriginOfLines = None,
+    cloud_frame: Annotated[
+        bool,
+        typer.Option(
+            "--cloud-frame", help="Poses in the frame of the cloud that `--level` turned."
+        ),
+    ] = False,
 ) -> None:
     """Export a map or results to another format.
 
     pcd, ply, laz: the map's cloud. autoware: the cloud in tiles, with pointcloud_map_metadata.yaml.
     nav2: occupancy grid, map.pgm and map.yaml, one pair per storey. g2o: the scans of aligned
     sessions, with odometry and loops. loops: these loops as JSON lines. tum: poses, by stamp if the
-    recording has stamps. geojson: trajectories.
+    recording has stamps. geojson: drives, and poses found with yaw, confidence and covariance.
     """
     from ..export import export as written
     from ..export.formats import Options
@@ -82,7 +88,7 @@ def export(
     grid = GridOptions(resolution, *_slice(heights), robot_width)
     place = None if at is None else Place.parse(at)
     with busy("Writing"):
-        notes = list(written(source, to, out, Options(tile, epsg, place, grid)))
+        notes = list(written(source, to, out, Options(tile, epsg, place, grid, cloud_frame)))
     for line in notes:
         note(line)
     print(out)

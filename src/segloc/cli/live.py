@@ -81,7 +81,7 @@ def live(
     from ..live.replay import correct, play, summary
     from ..tiles import open_map
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
-    from .results import check_folder, write_together
+    from .results import check_folder, frame_facts, write_together
 
     check_folder(out)
     if odometry and poses is not None:
@@ -109,6 +109,7 @@ def live(
         note(line)
     facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
     facts |= summary(played, truths, tolerance_m, tolerance_deg)
+    facts |= frame_facts(localizer.prior_map)
     fits = correct(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts, fits))
     _show(facts, f"{recording.name} in {prior_map.name}")

@@ -97,7 +97,7 @@ def localize(
     known = None if truths is None else truths[positions]
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     indices = recording.indices[positions]
-    evaluation = Evaluation(indices, results, prior.trajectory, known, tolerance)
+    evaluation = Evaluation(indices, results, prior, known, tolerance)
     name = prior_map.rstrip("/").rsplit("/", 1)[-1]
     show_results(queries, evaluation, name, out, html, kept, json)
 

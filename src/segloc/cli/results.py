@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import MissingDependency, SeglocError
 from ..io import Trajectory, write_tum
 from ..map.georeference import KEY, Georeference
+from ..map.info import CLOUD_FRAME
 from ..system.files import checked_target, replacing
 from ..system.locks import exclusive
 from ..system.text import json_text
@@ -42,7 +43,7 @@ def write_results(
     list of str
         Names of the files, and of folders of others.
     """
-    files = {**_contents(evaluation, Georeference.of(prior_map.metadata)), **more}
+    files = {**_contents(evaluation, prior_map), **more}
     write_together(out, files)
     tops = (name.partition("/") for name in files)
     return list(dict.fromkeys(top + slash for top, slash, _ in tops))
@@ -71,11 +72,19 @@ def print_json(evaluation: Evaluation) -> None:
     print(json_text(found))
 
 
-def _contents(evaluation: Evaluation, where: Georeference | None) -> dict[str, bytes]:
+def frame_facts(prior_map: SegmentMap) -> dict[str, Any]:
+    """Return the georeference of a map, and the transform from its cloud, if it has them."""
+    facts: dict[str, Any] = {}
+    if (where := Georeference.of(prior_map.metadata)) is not None:
+        facts[KEY] = json.loads(where.to_text())
+    if CLOUD_FRAME in prior_map.metadata:
+        facts[CLOUD_FRAME] = prior_map.T_map_cloud.tolist()
+    return facts
+
+
+def _contents(evaluation: Evaluation, prior_map: SegmentMap) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
-    found = evaluation.summary()
-    if where is not None:
-        found[KEY] = json.loads(where.to_text())
+    found = evaluation.summary() | frame_facts(prior_map)
     summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
         "poses.tum": _poses(evaluation),

@@ -38,6 +38,7 @@ class Options:
     epsg: int | None = None  # frame named in GeoJSON
     place: Place | None = None  # place of the map's origin on the globe, for GeoJSON
     grid: GridOptions = field(default_factory=GridOptions)  # for Nav2
+    in_cloud: bool = False  # poses in the frame of the cloud that was levelled, TUM and GeoJSON
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,11 @@ FORMATS = {
     "loops": Format(
         (AlignedSource,), "accepted loops, JSON lines", lambda s, out, _: write_loops(s, out)
     ),
-    "tum": Format(_ANY, "poses by time", lambda s, out, _: write_tum_files(s, out)),
+    "tum": Format(_ANY, "poses by time", lambda s, out, o: write_tum_files(s, out, o.in_cloud)),
     "geojson": Format(
-        _ANY, "paths as lines", lambda s, out, o: write_geojson(s, out, o.epsg, o.place)
+        _ANY,
+        "drives as lines, poses found and viewpoints as points",
+        lambda s, out, o: write_geojson(s, out, o.epsg, o.place, o.in_cloud),
     ),
 }
 

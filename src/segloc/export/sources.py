@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ..errors import DatasetError
+import numpy as np
+
+from ..errors import DatasetError, InvalidScan
 from ..io import Trajectory, read_trajectory
 from ..io.scans import read_file
 from ..map.georeference import KEY, Georeference
+from ..map.info import CLOUD_FRAME
 from ..map.segment_map import SegmentMap
+from ..system.checks import checked_pose
+from ..types import Float64, Pose
+
+_QUERIES, _STATES = "localizations.jsonl", "states.jsonl"
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,20 @@ class FoundSource:
     track: Trajectory  # T_map_sensor by stamp, or by scan number
     timed: bool  # True if by stamp
     georeference: Georeference | None  # of the map
+    T_map_cloud: Pose  # of the map
+    is_drive: bool  # True if of `segloc live`
     what = "results of `segloc localize` or `segloc live`"
+
+    def found(self) -> Iterator[dict[str, Any]]:
+        """Read the records that have a pose: the pose as ``T``, the covariance as an array."""
+        path = self.path / (_STATES if self.is_drive else _QUERIES)
+        key = "T_map_base" if self.is_drive else "T_map_sensor"
+        for record in _records(path):
+            if record.get(key) is not None:
+                T, covariance = _pose(record[key], f"{path}: {key}"), record.get("covariance")
+                if covariance is not None:
+                    covariance = _matrix(covariance, 6, f"{path}: covariance")
+                yield {**record, "T": T, "covariance": covariance}
 
 
 @dataclass(frozen=True)
@@ -56,9 +76,7 @@ class AlignedSource:
 
     def loops(self) -> Iterator[dict[str, Any]]:
         """Read accepted and rejected loops."""
-        path = self.path / "loops.jsonl"
-        for number, line in enumerate(_read(path).splitlines(), 1):
-            yield _parsed(line, f"{path}: line {number}")
+        yield from _records(self.path / "loops.jsonl")
 
 
 Source: TypeAlias = MapSource | FoundSource | AlignedSource
@@ -74,22 +92,39 @@ def open_source(path: Path) -> Source:
         return MapSource(path, SegmentMap.load(path))
     if (path / "alignment.json").is_file():
         return _aligned(path)
-    for kept in ("localizations.jsonl", "states.jsonl"):
+    for kept in (_QUERIES, _STATES):
         if (path / kept).is_file():
             timed = "no times" not in _read(path / "poses.tum")[:300]
             track = read_trajectory(path / "poses.tum")
-            return FoundSource(path, track, timed, _georeference(path))
+            return FoundSource(path, track, timed, *_frame(path), kept == _STATES)
     raise DatasetError(
-        f"{path}: neither a map nor results: no alignment.json, localizations.jsonl or "
-        "states.jsonl in it"
+        f"{path}: neither a map nor results: no alignment.json, {_QUERIES} or {_STATES} in it"
     )
 
 
-def _georeference(path: Path) -> Georeference | None:
-    """Read the georeference that `segloc localize` stored of its map."""
+def _frame(path: Path) -> tuple[Georeference | None, Pose]:
+    """Read the georeference and the transform from the cloud that were stored of the map."""
     file = path / "summary.json"
-    kept = _parsed(_read(file), str(file)).get(KEY) if file.is_file() else None
-    return None if kept is None else Georeference.of({KEY: json.dumps(kept)})
+    facts = _parsed(_read(file), str(file)) if file.is_file() else {}
+    where, T_map_cloud = facts.get(KEY), facts.get(CLOUD_FRAME, np.eye(4))
+    return (
+        None if where is None else Georeference.of({KEY: json.dumps(where)}),
+        _pose(T_map_cloud, f"{file}: {CLOUD_FRAME}"),
+    )
+
+
+def _pose(rows: Any, where: str) -> Pose:
+    try:
+        return checked_pose(_matrix(rows, 4, where), where)
+    except InvalidScan as error:
+        raise DatasetError(f"{where}: damaged: {error}") from error
+
+
+def _matrix(rows: Any, size: int, where: str) -> Float64:
+    try:
+        return np.array(rows, np.float64).reshape(size, size)
+    except (ValueError, TypeError) as error:
+        raise DatasetError(f"{where}: damaged: {error}") from error
 
 
 def _aligned(path: Path) -> AlignedSource:
@@ -105,6 +140,12 @@ def _aligned(path: Path) -> AlignedSource:
     if sorted(k for members in components for k in members) != list(range(len(names))):
         raise DatasetError(f"{file}: its components do not match its sessions")
     return AlignedSource(path, names, components, (erred[0], erred[1], erred[2]))
+
+
+def _records(path: Path) -> Iterator[dict[str, Any]]:
+    """Read the objects of a file of JSON lines."""
+    for number, line in enumerate(_read(path).splitlines(), 1):
+        yield _parsed(line, f"{path}: line {number}")
 
 
 def _read(path: Path) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import mmap
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ from ..geometry import transform
 from ..system.checks import checked_pose
 from ..types import Float64
 from . import pcd, ply
-from .fields import PointLayout, column, faults_of, one_line, require_points
-from .las import las_parts
+from .fields import MAX_HEADER_BYTES, PointLayout, column, faults_of, one_line, require_points
+from .las import las_parts, point_count
 from .npy import as_points, parse_array
-from .scans import read_file, read_scan, scan_suffix
+from .scans import natural_key, read_file, read_scan, scan_suffix
 from .text import COMMENTS, table_parts, text_parts
 
 PART = 1_000_000
@@ -27,8 +28,11 @@ SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
 """Of files that hold nothing but clouds; these are read of a folder."""
 GLIM = "points_compact.bin"
 """The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
+WHOLE = (".e57", ".npy")
+"""Of files that are read whole, 24 bytes a point."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
 
+Paths = str | Path | Sequence[str | Path]
 Progress = Callable[[int, int], None]
 
 
@@ -37,12 +41,21 @@ def is_cloud(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def cloud_files(path: str | Path) -> list[Path]:
-    """The files of a cloud: itself, or all that lie in a folder and its folders.
+def cloud_files(paths: Paths) -> list[Path]:
+    """List the files of a cloud: those given, and those in folders and their subfolders.
 
-    Raise DatasetError if there is none.
+    Files of a folder are sorted by name, numbers in names by value.
+
+    Raises
+    ------
+    DatasetError
+        If a file is missing or not a cloud by its name, or a folder has none.
     """
-    where = Path(path)
+    given = [paths] if isinstance(paths, str | Path) else paths
+    return list(dict.fromkeys(file for path in given for file in _files(Path(path))))
+
+
+def _files(where: Path) -> list[Path]:
     if not where.is_dir():
         if not where.is_file():
             raise DatasetError(f"{where}: no such file")
@@ -50,25 +63,57 @@ def cloud_files(path: str | Path) -> list[Path]:
             raise DatasetError(f"{where}: not a point cloud by its name: {', '.join(SUFFIXES)}")
         return [where]
     # A folder may be called map.pcd, as Autoware's is.
-    found = sorted(where.rglob(GLIM))
-    found = found or sorted(file for file in where.rglob("*") if file.is_file() and is_cloud(file))
+    found = list(where.rglob(GLIM))
+    found = found or [file for file in where.rglob("*") if file.is_file() and is_cloud(file)]
     if not found:
         raise DatasetError(f"{where}: no point cloud in this folder")
-    return found
+    return sorted(found, key=lambda file: [natural_key(part) for part in file.parts])
 
 
-def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[Float64]:
-    """Read a cloud, or a folder of its tiles, in parts of about a million points.
+def count_points(path: Path) -> int:
+    """Return the number of points of a file of :func:`cloud_files`, without reading them.
 
-    Tiles share a frame, except submaps of GLIM, whose poses lie beside them.
+    By the header; that of text by the length of its first lines, and that of other files at most.
+
+    Raises
+    ------
+    DatasetError
+        If the header is malformed; names the file.
+    MissingDependency
+        If E57 files need a package that is not installed.
+    """
+    suffix, size = path.suffix.lower(), path.stat().st_size
+    with faults_of(path):
+        if suffix in (".las", ".laz"):
+            return point_count(path)
+        if suffix == ".e57":
+            text = _of_e57("raw_xml", path)
+            return sum(map(int, re.findall(r'<points\b[^>]*\brecordCount="(\d+)"', text)))
+        with path.open("rb") as stream:
+            head = stream.read(MAX_HEADER_BYTES)
+        if suffix in (".pcd", ".ply"):
+            return (pcd.point_count if suffix == ".pcd" else ply.point_count)(head)
+        if suffix in _TEXT:
+            return size * head.count(b"\n") // max(len(head), 1)
+    return size // _FLOAT32_BYTES
+
+
+def read_cloud(
+    paths: Paths, progress: Progress | None = None, poses: Float64 | None = None
+) -> Iterator[Float64]:
+    """Read a cloud of one or more files in parts of about a million points.
+
+    Files share a frame, except submaps of GLIM, whose poses lie beside them.
     PCD, PLY, LAS and XYZ files are read part by part, E57 and compressed PCD files whole.
 
     Parameters
     ----------
-    path : path
-        A file or a folder.
+    paths : path, or sequence of paths
+        Files and folders.
     progress : callable, optional
         Called with (files read, files in all).
+    poses : (F, 4, 4) float64, optional
+        Pose of each file in the common frame, in the order of :func:`cloud_files`.
 
     Yields
     ------
@@ -77,14 +122,16 @@ def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[F
     Raises
     ------
     DatasetError
-        If a file is missing, cut off or malformed; names it.
+        If a file is missing, cut off or malformed (names it), or has no pose.
     MissingDependency
         If the format needs a package that is not installed.
     """
-    files = cloud_files(path)
+    files = cloud_files(paths)
+    if poses is not None and len(poses) != len(files):
+        raise DatasetError(f"{len(poses)} poses for {len(files)} files: each file needs one")
     for done, file in enumerate(files):
         with faults_of(file):
-            T = _placed(file)
+            T = _placed(file) if poses is None else poses[done]
             for part in _parts(file):
                 yield part if T is None else transform(T, part)
         if progress:
@@ -92,7 +139,7 @@ def read_cloud(path: str | Path, progress: Progress | None = None) -> Iterator[F
 
 
 def _placed(path: Path) -> Float64 | None:
-    """The pose of a submap in the frame of all; None if it lies in that frame."""
+    """Return the pose of a submap in the common frame; None if it lies in that frame."""
     if path.name != GLIM:
         return None
     words = read_file(path.parent / "data.txt").decode("utf-8", "replace").split()
@@ -118,16 +165,16 @@ def _parts(path: Path) -> Iterator[Float64]:
     return iter([read_scan(path).points.astype(np.float64)])
 
 
-_GLIM_BYTES = 12  # of a point: three float32
+_FLOAT32_BYTES = 12  # of a point of GLIM, and the least of others
 
 
 def _glim_points(path: Path) -> Float64:
     """Return the points of a submap of GLIM, in its own frame."""
     size = path.stat().st_size
-    if size % _GLIM_BYTES:
+    if size % _FLOAT32_BYTES:
         raise DatasetError(
-            f"{size} bytes are no multiple of {_GLIM_BYTES} bytes per point: the file is cut off, "
-            "copy it again"
+            f"{size} bytes are no multiple of {_FLOAT32_BYTES} bytes per point: the file is cut "
+            "off, copy it again"
         )
     return np.fromfile(path, "<f4").reshape(-1, 3).astype(np.float64)
 
@@ -169,16 +216,21 @@ def _records(data: mmap.mmap, layout: PointLayout) -> Iterator[Float64]:
 
 
 def _e57(path: Path) -> Iterator[Float64]:
-    """All scans of an E57 file, each in the file's own frame."""
+    """All scans of an E57 file, each at its pose in the file's frame."""
+    points = np.asarray(_of_e57("read_points", path).points, dtype=np.float64)
+    for first in range(0, len(points), PART):
+        yield points[first : first + PART]
+
+
+def _of_e57(function: str, path: Path) -> Any:
+    """Return what a function of the package e57 reads of a file."""
     try:
         import e57
     except ImportError as error:
         raise MissingDependency("e57", "e57", "reading .e57 files") from error
     try:
-        points = np.asarray(e57.read_points(str(path)).points, dtype=np.float64)
+        return getattr(e57, function)(str(path))
     except BaseException as error:  # of Rust, some no Exception
         if isinstance(error, (MemoryError, KeyboardInterrupt)):
             raise
         raise DatasetError(f"cannot read the E57 file: {one_line(error)}") from error
-    for first in range(0, len(points), PART):
-        yield points[first : first + PART]

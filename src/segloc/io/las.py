@@ -145,12 +145,7 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
 
     Raise DatasetError where :func:`parse_las` does.
     """
-    if not path.stat().st_size:  # cannot be mapped
-        raise DatasetError("not a LAS file")
-    with (
-        path.open("rb") as stream,
-        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
-    ):
+    with _mapped(path) as (stream, data):
         header = _parse_header(data)
         if not header.points:
             return
@@ -161,6 +156,24 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
                 steps = np.column_stack([chunk.array[axis] for axis in "XYZ"])
                 yield steps * reader.header.scales + reader.header.offsets
         require_points(header.points, done)
+
+
+def point_count(path: Path) -> int:
+    """Return the number of points by the header of a file."""
+    with _mapped(path) as (_, data):
+        return _parse_header(data).points
+
+
+@contextmanager
+def _mapped(path: Path) -> Iterator[tuple[BinaryIO, mmap.mmap]]:
+    """Open a file, and map it into memory."""
+    if not path.stat().st_size:  # cannot be mapped
+        raise DatasetError("not a LAS file")
+    with (
+        path.open("rb") as stream,
+        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
+        yield stream, data
 
 
 @contextmanager

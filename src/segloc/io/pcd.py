@@ -128,6 +128,11 @@ def point_layout(head: bytes) -> PointLayout | None:
     return PointLayout(header.points, header.start, columns, dtypes, header.stride)
 
 
+def point_count(head: bytes) -> int:
+    """Return the number of points by a file's first bytes."""
+    return _parse_header(head).points
+
+
 def field_names(head: bytes) -> list[str]:
     """Return the names of the fields of a point by a file's first bytes."""
     return [field.name for field in _parse_header(head).fields]

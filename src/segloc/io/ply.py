@@ -93,6 +93,12 @@ def point_layout(head: bytes) -> PointLayout | None:
     return PointLayout(vertex.count, start, columns, dtypes, vertex.stride)
 
 
+def point_count(head: bytes) -> int:
+    """Return the number of vertices by a file's first bytes."""
+    _, elements, _ = _parse_header(head)
+    return sum(element.count for element in elements if element.name == "vertex")
+
+
 def field_names(head: bytes) -> list[str]:
     """Return the names of the properties of a vertex by a file's first bytes."""
     _, elements, _ = _parse_header(head)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,6 +62,12 @@ def scan_suffix(path: Path) -> str | None:
     """Return the readable suffix of a file's name, in lower case, or None."""
     name = path.name.lower()
     return next((suffix for suffix in _PARSERS if name.endswith(suffix)), None)
+
+
+def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
+    """Sort numbers in names by value; the name itself breaks ties such as 1 and 01."""
+    pairs = re.findall(r"(\D*)(\d*)", name, flags=re.ASCII)
+    return [(text, int(digits or 0)) for text, digits in pairs], name
 
 
 def scan_suffixes() -> tuple[str, ...]:

@@ -9,6 +9,11 @@ from .georeference import Georeference
 
 SOURCE, CLOUD = "source", "cloud"
 """Key of the metadata, and its value for maps of one finished cloud."""
+CLOUD_FRAME = "T_map_cloud"
+"""Key of the metadata: transform from the frame of a finished cloud that was levelled."""
+VIEWPOINTS, LATTICE = "viewpoints", "lattice"
+"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
+space is known."""
 _MAX_TEXT = 200
 
 
@@ -22,7 +27,7 @@ class MapInfo(dict[str, Any]):
         rows = [
             ("descriptor", f"{self['descriptor']}, {self['dim']} numbers ({self['fingerprint']})"),
             ("segments", f"{self['segments']}"),
-            ("poses", f"{self['poses']} in {counted(self['sessions'], 'sessions')}"),
+            *self._poses_rows(),
             ("cloud", f"{self['cloud_points']} points, one per {self['cloud_voxel_m']:g} m"),
             ("extent", f"{extent} m"),
             ("in memory", f"{self['memory_bytes'] / 1e6:.1f} MB"),
@@ -34,6 +39,17 @@ class MapInfo(dict[str, Any]):
             rows.append(("frame", frame[:_MAX_TEXT]))
         if (where := Georeference.of(metadata)) is not None:
             rows.append(("georeference", str(where)))
+        return rows
+
+    def _poses_rows(self) -> list[tuple[str, str]]:
+        """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""
+        chosen = self["viewpoints"]
+        driven, sessions = self["poses"] - chosen, counted(self["sessions"], "sessions")
+        rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
+        if chosen:
+            lattice = LATTICE in self["metadata"].get(VIEWPOINTS, "")
+            where = "on a lattice, since there is no ground" if lattice else "on free ground"
+            rows.append(("viewpoints", f"{chosen} {where}"))
         return rows
 
     def __str__(self) -> str:

@@ -5,6 +5,7 @@ Functions below the class derive maps from maps.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MapMismatch, SeglocError
-from ..types import Descriptors, Float32, Float64, Scanned
+from ..errors import InvalidScan, MapFormatError, MapMismatch, SeglocError
+from ..system.checks import checked_pose
+from ..types import Descriptors, Float32, Float64, Pose, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
-from .info import CLOUD, SOURCE, MapInfo
+from .info import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS, MapInfo
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .voxel_cloud import VoxelCloud
 
@@ -39,9 +41,6 @@ SEGMENT_DTYPES: dict[str, Any] = {
     "missed": np.int32,
 }
 
-VIEWPOINTS, LATTICE = "viewpoints", "lattice"
-"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
-space is known."""
 _USED_BY_QUERIES = ("centroids", "quality")
 """Columns that are kept unpacked."""
 
@@ -298,6 +297,23 @@ class SegmentMap:
         return turned
 
     @property
+    def T_map_cloud(self) -> Pose:
+        """Transform from the frame of a finished cloud; the identity unless it was levelled.
+
+        Raises
+        ------
+        MapFormatError
+            If the metadata hold no such transform, as when several clouds were merged.
+        """
+        text = self.metadata.get(CLOUD_FRAME)
+        if text is None:
+            return np.eye(4)
+        try:
+            return checked_pose(np.array(json.loads(text), np.float64), CLOUD_FRAME)
+        except (ValueError, TypeError, RecursionError, InvalidScan) as error:
+            raise MapFormatError(f"metadata: invalid {CLOUD_FRAME}: {text[:80]!r}") from error
+
+    @property
     def memory_bytes(self) -> int:
         """Size in memory, without what is unpacked on use."""
         parts = [part for parts in self._columns.values() for part in parts]
@@ -314,6 +330,7 @@ class SegmentMap:
             segments=len(self),
             sessions=len(np.unique(self.session)),
             poses=len(self.trajectory),
+            viewpoints=int((~self.is_driven).sum()),
             has_quality=self.quality is not None,
             cloud_points=len(self._cloud),
             cloud_voxel_m=self.cloud_voxel,

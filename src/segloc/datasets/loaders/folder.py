@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DatasetError
-from ...io.scans import field_names, scan_suffix, scan_suffixes
+from ...io.scans import field_names, natural_key, scan_suffix, scan_suffixes
 from ...types import Float64, Int64
 from ..clocks import epoch_unit
 from ..recorded import FileSource, Found
@@ -84,7 +84,7 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
     ]
     others = [path for path in scans if scan_suffix(path) not in _TEXT_SUFFIXES]
     if others:
-        return sorted(others, key=_natural_key), []
+        return sorted(others, key=lambda path: natural_key(path.name)), []
     if not scans or inner:
         below = f"; scans found in subfolders: {inner}" if inner else f"; {known_formats()}"
         raise DatasetError(
@@ -92,7 +92,7 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
             f"{_named(files)}{below}"
         )
     numbered, notes = _without_sidecars(scans)
-    return sorted(numbered, key=_natural_key), notes
+    return sorted(numbered, key=lambda path: natural_key(path.name)), notes
 
 
 def known_formats() -> str:
@@ -139,12 +139,6 @@ def _same(path: Path, other: Path) -> bool:
 
 def _stem(path: Path) -> str:
     return path.name[: -len(scan_suffix(path) or "")]
-
-
-def _natural_key(path: Path) -> tuple[list[tuple[str, int]], str]:
-    """Sort numbers in names by value; the name itself breaks ties such as 1 and 01."""
-    pairs = re.findall(r"(\D*)(\d*)", path.name, flags=re.ASCII)
-    return [(text, int(digits or 0)) for text, digits in pairs], path.name
 
 
 def _numbered(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
