@@ -18,7 +18,7 @@ from segloc import Localizer, SegmentMap, geometry
 from segloc.inspect import confidence_tables, steps, summarize, trace
 from segloc.inspect.evidence import LABELS, evidence_rows, parts_of
 from segloc.io import read_trajectory
-from segloc.likelihood import Count, Posterior, features_of, walls_over
+from segloc.likelihood import Count, Posterior, Walls, features_of, walls_over
 from segloc.types import Descriptors, Scan
 
 AWAY = np.array([300.0, 40.0, 0.0])
@@ -206,7 +206,8 @@ def test_what_was_not_measured_is_worth_nothing(plaza: Plaza, plaza_map: Segment
     search = localizer.search(localizer.describe(localizer.accumulator.gather(scan)))
     (fit,) = search.fits
     nothing = Count(0, 0)
-    bare = replace(fit, inside=nothing, ground=nothing, flush=nothing, walls=fit.walls * np.nan)
+    walls = Walls(fit.walls.explained, 0 * fit.walls.weight)
+    bare = replace(fit, inside=nothing, ground=nothing, flush=nothing, walls=walls)
     scored = localizer.likelihood.scored(bare, features_of(bare, (), 0, walls_over(bare.walls)))
     search = replace(
         search,

@@ -44,7 +44,7 @@ def doctor(
     if poses is None:
         show_pose_files(sequence, recording)
     if html is not None:
-        from .doctor_page import page
+        from ..batch.doctor_page import page
 
         with busy("Drawing"):
             write_text(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..system.text import counted, number
 from . import options
 from .console import table
 
@@ -30,34 +29,9 @@ def info(
         show_pose_files(sequence, recording)
 
 
-def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[str, str]]:
-    """Return the facts about a recording in words, with units."""
-    from ..datasets.inspection import UNUSABLE
-
-    found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
-    first, last = int(recording.indices[0]), int(recording.indices[-1])
-    return [
-        ("format", recording.format),
-        ("sensor", found.sensor),
-        ("frame of points", recording.frame),
-        ("fields", recording.fields or "-"),
-        ("times of points", "yes" if found.timed else "no"),
-        ("scans", f"{len(recording)} ({first} to {last})"),
-        ("rate", number(found.rate_hz, "Hz", 1)),
-        ("duration", number(found.duration_s, "s", 1)),
-        ("poses", found.poses),
-        ("path", number(found.length_m, "m", 1)),
-        ("roll and pitch", examination.attitude),
-        ("points per scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
-        (f"points {UNUSABLE}", f"{100 * found.unusable:.2f} %"),
-        ("points that are NaN", f"{100 * found.blank:.2f} %"),
-        ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
-        ("problems", str(wrong) if wrong else "none found"),
-    ]
-
-
 def show(recording: RecordedSequence, examination: Examination) -> None:
     """Print a recording's facts as a table, followed by its problems."""
+    from ..doctor import facts
     from .doctor import show_findings
 
     table(recording.name, ("", ""), facts(recording, examination))

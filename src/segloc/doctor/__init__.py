@@ -7,6 +7,7 @@ from .finding import Finding as Finding
 from .pose_faults import pose_findings as pose_findings
 from .recording import Examination as Examination
 from .recording import examine as examine
+from .recording import facts as facts
 from .recording import first_fault as first_fault
 from .recording import hint as hint
 from .recording import map_finding as map_finding

@@ -20,7 +20,7 @@ from ..frontend.tilt import MIN_TILT_DEG, frame_tilt
 from ..localization import Localization
 from ..localizer import Localizer
 from ..map.segment_map import SegmentMap
-from ..system.text import counted
+from ..system.text import counted, number
 from ..types import Float32, Recording, Scan, Scanned, as_recording
 from .body_in_view import body_findings
 from .finding import Fault, Finding
@@ -374,3 +374,27 @@ def _inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding | Non
         return None
     what = f"localized upside down: {sum(found)} of {counted(len(few), 'scans')}"
     return Finding(Fault.Z_DOWN, f"{what}, so the z axis points down", Z_DOWN_REMEDY)
+
+
+def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[str, str]]:
+    """Return the facts about a recording in words, with units."""
+    found, wrong = examination.inspection, sum(f.wrong for f in examination.findings)
+    first, last = int(recording.indices[0]), int(recording.indices[-1])
+    return [
+        ("format", recording.format),
+        ("sensor", found.sensor),
+        ("frame of points", recording.frame),
+        ("fields", recording.fields or "-"),
+        ("times of points", "yes" if found.timed else "no"),
+        ("scans", f"{len(recording)} ({first} to {last})"),
+        ("rate", number(found.rate_hz, "Hz", 1)),
+        ("duration", number(found.duration_s, "s", 1)),
+        ("poses", found.poses),
+        ("path", number(found.length_m, "m", 1)),
+        ("roll and pitch", examination.attitude),
+        ("points per scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
+        (f"points {UNUSABLE}", f"{100 * found.unusable:.2f} %"),
+        ("points that are NaN", f"{100 * found.blank:.2f} %"),
+        ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),
+        ("problems", str(wrong) if wrong else "none found"),
+    ]

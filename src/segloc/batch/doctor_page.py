@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from .. import geometry
 from ..datasets import RecordedSequence
-from ..doctor import Examination, Finding, faulty_points
+from ..doctor import Examination, Finding, facts, faulty_points
 from ..doctor.pose_faults import standing
 from ..errors import DatasetError
 from ..frontend.local_cloud import Accumulator, LocalCloudConfig
@@ -31,7 +31,6 @@ from ..inspect.pictures import (
 )
 from ..system.text import counted
 from ..types import Bools, Float32, Scan
-from .info import facts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
