@@ -29,7 +29,7 @@ _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
 _FIRST = 2
 """Candidates of each proposer that are among the promising ones, by its own order."""
-_MORE = 6
+_MORE = 4
 """Further places that may be aligned: those about the best one."""
 
 Inliers = Callable[[Pose], int]
