@@ -199,15 +199,16 @@ class Tracker:
             if not isinstance(scans, (Scan, np.ndarray)):
                 raise InvalidScan("a tracker that accumulates takes one scan at a time")
             self.rolling.add(scans, T)
-        if self._last is not None:
-            metres = float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
-            self.travelled += metres
-            self.belief.move(metres)
+        metres = 0.0 if self._last is None else float(np.linalg.norm(T[:3, 3] - self._last[:3, 3]))
+        self.travelled += metres
+        self.belief.move(metres)
         self._last = T
         localized = self.belief.status()[0] is Status.LOCALIZED
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
-        if search or (self._probable and self._since_view() >= config.check_m):
+        # Of the scans, a view takes the one that is nearest to its distance.
+        is_near = self._since_view() + 0.5 * metres >= config.check_m
+        if search or (self._probable and is_near):
             return self._request(scans, T, search, localized)
         return None
 

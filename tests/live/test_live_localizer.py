@@ -50,10 +50,10 @@ def blocked(localizer: Localizer, monkeypatch: pytest.MonkeyPatch) -> tuple[Loca
     begun, go = threading.Event(), threading.Event()
     search = localizer.search
 
-    def waiting(*args: Any) -> Any:
+    def waiting(*args: Any, **named: Any) -> Any:
         begun.set()
         assert go.wait(WAIT_S)
-        return search(*args)
+        return search(*args, **named)
 
     monkeypatch.setattr(localizer, "search", waiting)
     return localizer, begun, go
@@ -107,7 +107,7 @@ def test_where_it_falls_behind_the_newest_scans_win(
 def test_what_fails_in_a_thread_is_told_and_nothing_hangs(
     localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    def failing(*_: Any) -> Any:
+    def failing(*_: Any, **__: Any) -> Any:
         raise ZeroDivisionError("a fault of ours")
 
     if where == "search":
