@@ -215,7 +215,7 @@ def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> No
             truth = peer.walk(7, begin=(3.0 * k - 14.0, 1.0), step=0.5, carried=carried)
             truth = SHIFT @ truth if name == "shifted" else truth
             assert localized(peer, truth), peer.said
-            assert all(off(pose_in(m.pose.pose), truth) < 3.0 for m in peer.heard["pose"])
+            assert all(off(pose_in(m.pose.pose), truth) < 4.0 for m in peer.heard["pose"])
             node.send_signal(signal.SIGINT)
             assert node.wait(WAIT_S) == 0
         assert said in log.read_text()
@@ -292,7 +292,7 @@ def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
         assert float(peer.values["points"]) > 1.5 * half
         peer.heard["tf"].clear()
         slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.8, 0.0, 0.0))
-        peer.walk(8, rear=True, step=0.5, begin=(-7.0, 2.4), T_map_odom=slipped)
+        peer.walk(16, rear=True, step=0.5, begin=(-7.0, 2.4), T_map_odom=slipped)
         sent = [transform_in(t) for message in peer.heard["tf"] for t in message.transforms]
         base = (geometry.inverse(slipped) @ truth)[:3, 3]
         at = [(t.stamp, geometry.transform(t.T_parent_child, base[None])[0]) for t in sent]
