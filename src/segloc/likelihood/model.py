@@ -69,20 +69,20 @@ class Promise(Section):
     log-ratio is, or is not, above that of "not in this map".
     """
 
-    weights: tuple[float, ...] = Field(description="constant, then one weight a rough measure")
+    weights: tuple[float, ...] = Field(description="constant, then one weight a measure")
 
     def log_odds(self, measures: Sequence[float]) -> float:
         """Return the log-odds that a place competes, by its rough measures."""
         return sum(w * x for w, x in zip(self.weights, (1.0, *measures), strict=True))
 
 
-class Known(Section):
+class Known(Promise):
     """What a view says about a pose that is known already, by its features.
 
-    A logistic regression, fitted to views from right and from wrong poses of robots that drive on.
+    A logistic regression of the features, fitted to views from right and from wrong poses of robots
+    that drive on.
     """
 
-    weights: tuple[float, ...] = Field(description="constant, then one weight a feature")
     misleading: float = Field(gt=0, lt=0.5, description="probability that a view misleads")
     power: float = Field(gt=0, description="exponent of the unknown share that is no evidence")
 
@@ -91,8 +91,7 @@ class Known(Section):
 
         The more of the query is in unknown space, the less it says.
         """
-        odds = sum(w * x for w, x in zip(self.weights, (1.0, *features), strict=True))
-        right = 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
+        right = 1.0 / (1.0 + math.exp(-min(max(self.log_odds(features), -50.0), 50.0)))
         p = self.misleading + (1.0 - 2.0 * self.misleading) * right
         return float((1.0 - unknown**self.power) * math.log(p / (1.0 - p)))
 
