@@ -220,7 +220,7 @@ def test_what_is_to_be_installed_or_made_exists() -> None:
 def test_make_demo_does_not_compile_what_pip_has_installed(tmp_path: Path) -> None:
     if shutil.which("make") is None:
         pytest.skip("no make here")
-    planned = ["make", "--dry-run", "demo", f"VENV={tmp_path}"]
+    planned = ["make", "--no-print-directory", "--dry-run", "demo", f"VENV={tmp_path}"]
 
     def plan() -> str:
         return subprocess.run(
