@@ -126,6 +126,20 @@ def test_a_track_survives_what_shows_nothing_but_not_for_ever(
         assert track.localized == expected
 
 
+@pytest.mark.parametrize("metres", [2.5, 3.5, 5.0, 8.0])
+def test_a_view_speaks_against_a_pose_that_another_place_near_by_draws_away(
+    plaza_map: SegmentMap, plaza: Plaza, metres: float
+) -> None:
+    localizer, T = Localizer(plaza_map), geometry.yaw_transform(0.3, (-8.0, 1.0, 1.8))
+    cloud = localizer.accumulator.gather(plaza.scan(T, posed=False, seed=5))
+    at = T @ geometry.inverse(cloud.T_local_sensor)
+    off = geometry.yaw_transform(0.0, (metres, 0.0, 0.0)) @ at
+    found = localizer.compare(cloud, [off])
+    right, wrong = (found.at(pose, localizer.likelihood.separation) for pose in (at, off))
+    assert right is not None and right.evidence > 1.0
+    assert right is wrong if metres < 3.0 else wrong is not None and wrong.evidence < -1.0
+
+
 def test_a_walk_elsewhere_is_never_localized(plaza_map: SegmentMap) -> None:
     tracks = walk(Tracker(Localizer(plaza_map)), Plaza(1), count=8, step=4.0)
     assert not any(track.localized for track in tracks)

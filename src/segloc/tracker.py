@@ -146,7 +146,8 @@ class Tracker:
         self.localizer, self.config = localizer, config or TrackerConfig()
         settings = localizer.config
         verification, separation = settings.verification, settings.pose.separation
-        self.belief = Belief(self.config, verification.min_confidence, separation)
+        known = localizer.likelihood.model.known
+        self.belief = Belief(self.config, verification.min_confidence, separation, known.alike)
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
         self._searched = self._viewed = -math.inf  # distances travelled
@@ -279,19 +280,36 @@ class Tracker:
         found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
         if callback is not None:
             callback(query, found, result)
-        return _filled(request.view, found.posterior, query.cloud, searched=True), found
+        return self._filled(request.view, found.posterior, query.cloud, searched=True), found
 
     def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> View:
         """Compare the newest scan at the hypotheses alone."""
         cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
         posterior = self.localizer.compare(cloud, _known(request, cloud))
-        return _filled(request.view, posterior, cloud)
+        return self._filled(request.view, posterior, cloud)
+
+    def _filled(
+        self, view: View, posterior: Posterior, cloud: LocalCloud, searched: bool = False
+    ) -> View:
+        """Return a view with the places of a posterior."""
+        known, none = self.localizer.likelihood.model.known, posterior.not_in_map
+        T_local_odom = cloud.T_local_sensor @ geometry.inverse(view.T_odom_sensor)
+        places = [
+            Reading(
+                place.T_map_local @ T_local_odom,
+                place.evidence,
+                known.told(place.unknown),
+                math.log(max(p, _MIN_PROBABILITY) / max(none, _MIN_PROBABILITY)),
+                geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
+            )
+            for place, p in zip(posterior.places, posterior.probabilities, strict=True)
+        ]
+        return replace(view, places=places, searched=searched)
 
     def _is_weak(self, view: View, T_map_odom: Pose) -> bool:
         """Return whether a view says little for a hypothesis, or speaks against it."""
-        apart, T = self.localizer.config.pose.separation.apart, view.T_odom_sensor
-        here = (p for p in view.places if not apart(p.T_map_odom @ T, T_map_odom @ T))
-        return any(seen.evidence < _WEAK for seen in here)
+        seen = view.reading(T_map_odom, self.localizer.config.pose.separation)
+        return seen is None or seen.evidence < _WEAK
 
     def take(self, request: QueryRequest, view: View) -> None:
         """Update the hypotheses by a view, the last third of :meth:`update`."""
@@ -350,21 +368,6 @@ def _known(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
     """Return the hypotheses as poses T_map_local of a cloud."""
     T_odom_local = request.view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
     return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]
-
-
-def _filled(view: View, posterior: Posterior, cloud: LocalCloud, searched: bool = False) -> View:
-    """Return a view with the places of a posterior."""
-    T_local_odom = cloud.T_local_sensor @ geometry.inverse(view.T_odom_sensor)
-    places = [
-        Reading(
-            place.T_map_local @ T_local_odom,
-            place.evidence,
-            math.log(max(p, _MIN_PROBABILITY) / max(posterior.not_in_map, _MIN_PROBABILITY)),
-            geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
-        )
-        for place, p in zip(posterior.places, posterior.probabilities, strict=True)
-    ]
-    return replace(view, places=places, searched=searched)
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:

@@ -85,15 +85,21 @@ class Known(Promise):
 
     misleading: float = Field(gt=0, lt=0.5, description="probability that a view misleads")
     power: float = Field(gt=0, description="exponent of the unknown share that is no evidence")
+    alike_m: float = Field(gt=0, description="way over which what views say decays to 1/e [m]")
+
+    def alike(self, metres: float) -> float:
+        """Return how much of what a view says was said by one so many metres before, in [0, 1]."""
+        return math.exp(-metres / self.alike_m)
 
     def evidence(self, features: Sequence[float], unknown: float) -> float:
-        """Return the log-ratio of a view from a pose against one from elsewhere.
-
-        The more of the query is in unknown space, the less it says.
-        """
+        """Return the log-ratio of a view from a pose against one from elsewhere."""
         right = 1.0 / (1.0 + math.exp(-min(max(self.log_odds(features), -50.0), 50.0)))
         p = self.misleading + (1.0 - 2.0 * self.misleading) * right
-        return float((1.0 - unknown**self.power) * math.log(p / (1.0 - p)))
+        return self.told(unknown) * math.log(p / (1.0 - p))
+
+    def told(self, unknown: float) -> float:
+        """Return how much a view can say, in [0, 1]: less where the map knows less of it."""
+        return 1.0 - float(unknown) ** self.power
 
 
 class Model(Section):

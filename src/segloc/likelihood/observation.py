@@ -329,21 +329,27 @@ class MapCloud:
             self._absolute(found.start), [self._absolute(T) for T in [*found.rivals, *others]]
         )
 
-    def aligned(self, T_map_local: Pose, query: QueryCloud) -> Aligned:
-        """Align some of a query's points from a pose; at the pose itself if ICP fails."""
+    def aligned(self, T_map_local: Pose, query: QueryCloud, *, still: bool = False) -> Aligned:
+        """Align some of a query's points from a pose; at the pose itself if ICP fails.
+
+        ``still`` does not align.
+        """
         T, config = self._relative(T_map_local), self._config
-        found = self._best(T, query, roughly=True)
+        found = None if still else self._best(T, query, roughly=True)
         if found is None:
             overlap, _ = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
             T, overlap = found.T_target_source, found.overlap
         return Aligned(self._absolute(T), overlap, self._seen(query, T))
 
-    def measured(self, T_map_local: Pose, query: QueryCloud) -> Observation:
-        """Align a query from a pose, and compare it; at the pose itself if ICP fails."""
+    def measured(self, T_map_local: Pose, query: QueryCloud, *, still: bool = False) -> Observation:
+        """Align a query from a pose, and compare it; at the pose itself if ICP fails.
+
+        ``still`` does not align.
+        """
         T, config = self._relative(T_map_local), self._config
         covariance: Float64 | None = None
-        found = self._best(T, query, roughly=False)
+        found = None if still else self._best(T, query, roughly=False)
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:

@@ -130,7 +130,9 @@ class Trial:
     overlap : float
         Overlap before alignment.
     rank : int
-        Number of better candidates by its own proposer; -1 of a known pose.
+        Number of better candidates by its own proposer.
+    known : (4, 4) float64 or None
+        Pose, known from elsewhere, that is measured to the end, whatever it promises.
     measures : tuple of float
         What is known before alignment, by :func:`rough_measures`.
     aligned : Aligned or None
@@ -147,6 +149,7 @@ class Trial:
     inliers: int
     overlap: float
     rank: int
+    known: Pose | None = None
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
     fit: Observation | None = None
@@ -205,7 +208,8 @@ class Scorer:
         inliers : callable
             Counts the segments that agree with a pose.
         known : sequence of (4, 4) float64
-            Poses T_map_local that are measured to the end, whatever they promise.
+            Poses T_map_local that are measured to the end, whatever they promise; where they are
+            if what fits is another place.
         """
         self._inliers = inliers
         if candidates:
@@ -214,11 +218,11 @@ class Scorer:
         for place in self.places:
             self._count(place)
         count = Counter[str]()
-        poses = [(T, inliers(T), -1) for T in known]
+        poses = []
         for c in candidates:
             poses.append((c.T_map_local, c.inliers, count[c.proposer]))
             count[c.proposer] += 1
-        self._consider(poses)
+        self._consider(poses, known)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""
@@ -271,7 +275,7 @@ class Scorer:
         begun = sum(place.aligned is not None for place in self.places)
         may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places + _MORE)
         for place in self.places:
-            if place.rank < 0 and place.fit is None:
+            if place.known is not None and place.fit is None:
                 return place
         left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
         if thorough:
@@ -296,9 +300,11 @@ class Scorer:
         if place.aligned is None:
             self._align(place)
         else:
-            place.fit = self._map.measured(place.T_map_local, self._query)
-            self._measured.append(place.fit)
-            place.T_map_local = place.fit.T_map_local
+            fit = self._map.measured(place.T_map_local, self._query)
+            if (known := self._left(place, fit.T_map_local)) is not None:
+                fit = self._map.measured(known, self._query, still=True)
+            self._measured.append(fit)
+            place.fit, place.T_map_local = fit, fit.T_map_local
             self._count(place)
         self._merge(place)
         if place.fit is not None:
@@ -311,9 +317,16 @@ class Scorer:
             other = self._map.aligned(start, self._query)
             if other.overlap > place.aligned.overlap:
                 place.aligned = other
+        if (known := self._left(place, place.aligned.T_map_local)) is not None:
+            place.aligned = self._map.aligned(known, self._query, still=True)
         place.T_map_local = place.aligned.T_map_local
         self._count(place)
         place.expect(self._model)
+
+    def _left(self, place: Trial, T_map_local: Pose) -> Pose | None:
+        """Return the known pose of a place if alignment has taken it to another place."""
+        known = place.known
+        return known if known is not None and self._separation.apart(known, T_map_local) else None
 
     def _count(self, place: Trial) -> None:
         """Count the inliers of a place."""
@@ -332,17 +345,22 @@ class Scorer:
         self._consider([(T, self._inliers(T), _FIRST) for T in near])
         return around.start
 
-    def _consider(self, poses: Sequence[tuple[Pose, int, int]]) -> None:
-        """Add poses with their inliers and ranks, the most promising at each place."""
+    def _consider(
+        self, proposed: Sequence[tuple[Pose, int, int]], known: Sequence[Pose] = ()
+    ) -> None:
+        """Add poses with their inliers and ranks, known ones or the most promising at a place."""
+        poses = [*((T, self._inliers(T), 0) for T in known), *proposed]
         if not poses:
             return
         overlaps = self._map.rough_overlap([T for T, *_ in poses], self._query)
         fresh = [Trial(T, n, o, k) for (T, n, k), o in zip(poses, overlaps, strict=True)]
+        for place, T in zip(fresh, known, strict=False):
+            place.known = T
         begun = [place for place in self.places if place.aligned is not None]
         fresh += [place for place in self.places if place.aligned is None]
         apart = self._describe(fresh, begun)
         kept: list[int] = []
-        for k in sorted(range(len(fresh)), key=lambda k: (fresh[k].rank >= 0, -fresh[k].rough)):
+        for k in sorted(range(len(fresh)), key=lambda k: (fresh[k].known is None, -fresh[k].rough)):
             if apart[k, [*kept, *range(len(fresh), len(fresh) + len(begun))]].all():
                 kept.append(k)
         self.places = [*begun, *(fresh[k] for k in kept)]
@@ -368,6 +386,7 @@ class Scorer:
         for other in self._same(place):
             worse, better = sorted((place, other), key=_merit)
             better.rank = min(place.rank, other.rank)
+            better.known = worse.known if better.known is None else better.known
             self.places = [each for each in self.places if each is not worse]
             if worse is place:
                 return

@@ -6,7 +6,7 @@ It needs no clouds and no clock: poses are ``T_map_odom``, and time is the dista
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -69,6 +69,8 @@ class Reading:
     T_map_odom : (4, 4) float64
     evidence : float
         Log-ratio of the view from a pose that is known already against one from elsewhere.
+    told : float
+        How much a view from there can say, in [0, 1].
     log_ratio : float
         Log-ratio of a place that was not known, as of a single query, against none of the places.
     covariance : (6, 6) float64 or None
@@ -77,6 +79,7 @@ class Reading:
 
     T_map_odom: Pose
     evidence: float
+    told: float = 1.0
     log_ratio: float = -math.inf
     covariance: Float64 | None = None
 
@@ -101,14 +104,21 @@ class View:
     places: Sequence[Reading] = ()
     searched: bool = False
 
+    def reading(self, T_map_odom: Pose, separation: geometry.Separation) -> Reading | None:
+        """Return the fit at the place of a pose T_map_odom; None if it was not compared."""
+        T, T_sensor = T_map_odom @ self.T_odom_sensor, self.T_odom_sensor
+        here = (p for p in self.places if not separation.apart(T, p.T_map_odom @ T_sensor))
+        return next(here, None)
+
 
 @dataclass
 class Hypothesis:
     """A possible place of the robot; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``evidence`` is that of the newest view here. ``views`` counts the views that support it,
-    overlapping ones by their new share. It is ``accepted`` from ``min_confidence`` on, for as long
-    as it is more probable than not. ``doubted`` is a pose that a single view has moved too far.
+    ``evidence`` is that of the newest view here, taken at ``seen_at``. ``views`` counts the views
+    that support it, overlapping ones by their new share. It is ``accepted`` from ``min_confidence``
+    on, for as long as it is more probable than not. ``doubted`` is a pose that a single view has
+    moved too far.
     """
 
     key: int
@@ -118,6 +128,7 @@ class Hypothesis:
     at: float
     probability: float
     evidence: float
+    seen_at: float = -math.inf
     views: float = 1.0
     accepted: bool = False
     doubted: Pose | None = None
@@ -125,6 +136,16 @@ class Hypothesis:
 
 class Belief:
     """Probabilities of hypotheses, predicted by odometry and updated by views.
+
+    Parameters
+    ----------
+    config : BeliefConfig
+    min_confidence : float
+        Probability from which a hypothesis is accepted.
+    separation : Separation
+        Of distinct places.
+    alike : callable
+        Returns how much of what a view says was said by one so many metres before.
 
     Attributes
     ----------
@@ -139,9 +160,13 @@ class Belief:
     """
 
     def __init__(
-        self, config: BeliefConfig, min_confidence: float, separation: geometry.Separation
+        self,
+        config: BeliefConfig,
+        min_confidence: float,
+        separation: geometry.Separation,
+        alike: Callable[[float], float],
     ) -> None:
-        self.config, self._separation = config, separation
+        self.config, self._separation, self._alike = config, separation, alike
         self.min_confidence = min_confidence
         self.travelled, self._count = 0.0, 0
         self.clear()
@@ -178,14 +203,19 @@ class Belief:
         self.clear()
         self._count += 1
         where = self._count, T_map_odom, T_odom_sensor, None, self.travelled
-        self.hypotheses, self.lost = [Hypothesis(*where, probability, 0.0, 0.0)], 1.0 - probability
+        self.hypotheses, self.lost = (
+            [Hypothesis(*where, probability, 0.0, views=0.0)],
+            1.0 - probability,
+        )
 
     def update(self, view: View) -> bool:
         """Update by Bayes' rule: every place is compared with the same cloud.
 
-        A hypothesis gains the evidence of the view, less what an overlapping one before has said. A
-        place that a search finds has at least the probability of "lost" times its ratio: from
-        "lost" alone, one view gives the posterior of a single query.
+        A hypothesis gains what the view says beside the one before it: what looks like the map, or
+        does not, is seen again in the next view. (Evidence is taken as a process of first order,
+        whose correlation decays with the way.) A place that a search finds has at least the
+        probability of "lost" times its ratio: from "lost" alone, one view gives the posterior of a
+        single query.
 
         Returns
         -------
@@ -195,12 +225,15 @@ class Belief:
         track, fresh = self.track, list(view.places)
         contradicted = False
         for h in self.hypotheses:
-            seen = next((p for p in view.places if self._same(h, p.T_map_odom, view)), None)
+            seen = view.reading(h.T_map_odom, self._separation)
             if seen is None:
                 continue
             fresh = [p for p in fresh if p is not seen]
-            gain = seen.evidence - (1.0 - view.new) * h.evidence
-            h.probability, h.evidence = h.probability * math.exp(gain), seen.evidence
+            alike = self._alike(view.at - h.seen_at)
+            before = alike * h.evidence
+            gain = (seen.evidence - seen.told * before) / (1.0 + alike)
+            h.probability *= math.exp(gain)
+            h.evidence, h.seen_at = seen.evidence + (1.0 - seen.told) * before, view.at
             if view.searched:
                 h.probability = max(h.probability, self._found(seen))
             if seen.evidence > 0.0:
@@ -253,7 +286,7 @@ class Belief:
         """Add a place: it takes its share of "lost"."""
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
-        self.hypotheses.append(Hypothesis(*where, self._found(place), place.evidence))
+        self.hypotheses.append(Hypothesis(*where, self._found(place), place.evidence, view.at))
 
     def _found(self, place: Reading) -> float:
         """Return the probability of a place, before normalisation, if it was lost before."""

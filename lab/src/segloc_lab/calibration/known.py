@@ -8,9 +8,10 @@ odometry, as one that was carried to a place that looks alike does. Each drive i
 with narrow views, and with people around the sensor in every third scan.
 
 The model is a logistic regression of right and wrong, each counted as much, fitted to what single
-views and three in succession say together: what differs from the map is seen again in the next
-view, so that views say less than independent ones would. The rows of the shipped model are kept
-beside this module, one array a world.
+views, three and six in succession say together. What differs from the map, or looks like it
+elsewhere, is seen again in the next view: how alike two views are decays with the way between them,
+and how fast is fitted, too. The rows of the shipped model are kept beside this module, one array a
+world.
 
     python -m segloc_lab.calibration.known --worlds rows/fit --every 3 --rows known.npz
     python -m segloc_lab.calibration.known --out src/segloc/weights/posterior.json
@@ -39,6 +40,8 @@ from ..report import Cell, Table, command, publish, reporting
 from .rows import World, errors, is_right, worlds_of
 from .worlds import kind_of, narrowed, seed_of
 
+STEP_M = 2.0
+"""Way between scans."""
 EVERY, HELD = 6, 2
 """Scans between searches, and the wrong places held from each until the next."""
 SEARCHED = ("own", "half")
@@ -47,7 +50,7 @@ WHOLE, NARROW, CROWDED = range(3)
 CROWD, CROWD_M, CROWD_SHARE = 3, (0.8, 3.0), (0.5, 0.9)
 """Scans of which one is crowded, distance of the people, and the share of directions they block."""
 COLUMNS = ("map", "seen", "track", "step", "right", "unknown", *FEATURES)
-TOGETHER = (1, 3)
+TOGETHER = (1, 3, 6)
 """Views in succession to which the model is fitted."""
 UNUSED = "inliers_over_rival"
 """Segments are not matched where a pose is known."""
@@ -185,6 +188,15 @@ class Views:
         return np.array([known.evidence(features, unknown) for features, unknown in rows])
 
 
+def said_together(said: Float64, told: Float64, alike: float) -> Float64:
+    """Add up what views say in succession, (M, count), as a tracker does, (M,)."""
+    total = before = said[:, 0]
+    for now, could in zip(said[:, 1:].T, told[:, 1:].T, strict=True):
+        total = total + (now - could * alike * before) / (1.0 + alike)
+        before = now + (1.0 - could) * alike * before
+    return total
+
+
 def fitted(views: Views, chosen: Mask) -> Known:
     """Fit the model to the views of some worlds."""
     used = [k for k, name in enumerate(FEATURES) if name != UNUSED]
@@ -192,24 +204,26 @@ def fitted(views: Views, chosen: Mask) -> Known:
     runs = [run[chosen[views.world[run[:, 0]]]] for run in map(views.together, TOGETHER)]
 
     def loss(p: Float64) -> float:
-        misleading = 0.5 * expit(p[-2])
+        misleading, alike = 0.5 * expit(p[-3]), expit(p[-1])
         share = misleading + (1.0 - 2.0 * misleading) * expit(X @ p[: X.shape[1]])
-        said = (1.0 - views.unknown ** np.exp(p[-1])) * logit(share)
+        told = 1.0 - views.unknown ** np.exp(p[-2])
+        said = told * logit(share)
         total = RIDGE * float((p[1 : X.shape[1]] ** 2).sum())
         for run in runs:
-            right, sums = views.right[run[:, 0]], said[run].sum(axis=1)
+            right, sums = views.right[run[:, 0]], said_together(said[run], told[run], alike)
             total += float(np.logaddexp(0.0, -sums[right]).mean())
             total += float(np.logaddexp(0.0, sums[~right]).mean())
         return total
 
-    start = np.concatenate([[-1.0], np.ones(len(used)), [-4.0, 1.0]])
+    start = np.concatenate([[-1.0], np.ones(len(used)), [-4.0, 1.0, 1.0]])
     found = minimize(loss, start, method="BFGS", options={"gtol": 1e-4}).x
     weights = np.zeros(len(FEATURES) + 1)
     weights[[0, *(k + 1 for k in used)]] = found[: X.shape[1]]
     return Known(
         weights=tuple(round(float(w), 3) for w in weights),
-        misleading=round(max(float(0.5 * expit(found[-2])), LEAST_MISLEADING), 5),
-        power=round(float(np.exp(found[-1])), 2),
+        misleading=round(max(float(0.5 * expit(found[-3])), LEAST_MISLEADING), 5),
+        power=round(float(np.exp(found[-2])), 2),
+        alike_m=round(-STEP_M / float(np.log(expit(found[-1]))), 1),
     )
 
 
@@ -223,9 +237,9 @@ def held_out(views: Views) -> Float64:
     return said
 
 
-def table(views: Views, said: Float64) -> Table:
+def table(views: Views, said: Float64, known: Known) -> Table:
     """Show what views say together at right and at wrong poses, by kind and way of seeing."""
-    kinds = np.array(views.kinds)[views.world]
+    kinds, told = np.array(views.kinds)[views.world], 1.0 - views.unknown**known.power
     parts = {name: (kinds == name) & (views.seen == WHOLE) for name in dict.fromkeys(views.kinds)}
     ways = {"whole views": WHOLE, "narrow views": NARROW, "crowded": CROWDED}
     parts |= {name: views.seen == way for name, way in ways.items()}
@@ -234,7 +248,8 @@ def table(views: Views, said: Float64) -> Table:
         for count in TOGETHER:
             runs = views.together(count)
             runs = runs[part[runs[:, 0]]]
-            right, sums = views.right[runs[:, 0]], said[runs].sum(axis=1)
+            right = views.right[runs[:, 0]]
+            sums = said_together(said[runs], told[runs], known.alike(STEP_M))
             for label, here in (("right", right), ("wrong", ~right)):
                 spread = np.percentile(sums[here], SHARES).round(1) if here.any() else []
                 cells = (*(float(v) for v in spread), *[None] * (len(SHARES) - len(spread)))
@@ -268,7 +283,8 @@ def main() -> None:
     views = Views.of(worlds)
     known = fitted(views, np.ones(len(worlds), bool))
     weights = Table(("", "value"), [*zip(("constant", *FEATURES), known.weights, strict=True)])
-    publish(args.report, "What a view says of a known pose", table(views, held_out(views)), weights)
+    evidence = table(views, held_out(views), known)
+    publish(args.report, "What a view says of a known pose", evidence, weights)
     if args.out is not None:
         model = json.loads(args.out.read_text("utf-8"))
         model["known"] = known.model_dump()
