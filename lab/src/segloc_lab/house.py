@@ -30,18 +30,20 @@ PARTS = {
 }
 _PACKAGE = Path("src/segloc")
 _CPP_TESTS = ("tests", "fuzz")
-_RUNS = 5
+_RUNS = 3
+_NAMES = ("Localizer", "SegmentMap", "Scan"), ("LiveLocalizer", "SegmentMap", "Scan")
+"""What a robot takes from the package to answer a query, and to follow its pose."""
 _LOADED = """
 import json, sys, time
-began = time.perf_counter()
+began = time.process_time()
 import segloc
-took = [time.perf_counter() - began]
+took = [1000 * (time.process_time() - began)]
 for name in sys.argv[1:]:
     getattr(segloc, name)
-took.append(time.perf_counter() - began)
+took.append(1000 * (time.process_time() - began))
 files = [getattr(module, "__file__", None) for name, module in sys.modules.items()
          if name.split(".")[0] == "segloc"]
-print(json.dumps({"files": files, "ms": [1000 * t for t in took]}))
+print(json.dumps([files, took]))
 """
 
 
@@ -71,41 +73,43 @@ def counts(root: Path) -> dict[str, int]:
     return {name: sum(map(_lines, _files(root, name))) for name in PARTS}
 
 
-def loaded(root: Path) -> tuple[set[Path], list[float]]:
-    """Return the package's files that ``segloc.Localizer`` loads, and import times [ms].
+def loaded(root: Path, *names: str) -> tuple[set[Path], list[float]]:
+    """Return the package's files that are loaded with some of its names, and processor times of import [ms].
 
-    The times are the shortest of a few runs: of ``import segloc``, and with its first names.
+    The times are the shortest of a few runs: of ``import segloc``, and with the names.
     """
+    # Without site: an editable install would come before the tree.
+    path = os.pathsep.join([str(root / "src"), *filter(None, sys.path)])
     runs = []
     for _ in range(_RUNS):
         done = subprocess.run(
-            [sys.executable, "-c", _LOADED],
-            cwd=root,
-            env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
+            [sys.executable, "-S", "-c", _LOADED, *names],
+            env={**os.environ, "PYTHONPATH": path},
             check=True,
             capture_output=True,
             text=True,
         )
         runs.append(json.loads(done.stdout))
-    files = {Path(file) for file in runs[0]["files"] if file and file.endswith(".py")}
-    return files, [min(times) for times in zip(*(run["ms"] for run in runs), strict=True)]
+    files = {Path(file) for file in runs[0][0] if file and file.endswith(".py")}
+    return files, [min(times) for times in zip(*(took for _, took in runs), strict=True)]
 
 
 def facts(root: Path) -> dict[str, Cell]:
     """Return all figures of a tree by their names."""
     root = root.resolve()
     found: dict[str, Cell] = dict(counts(root))
-    files, (bare, first) = loaded(root)
-    of_tools = {path for path in files if _is_tool(root, path)}
-    core = sum(
-        map(_lines, (p for p in _files(root, "package, what a robot needs") if p.suffix == ".py"))
+    needed = sum(
+        _lines(p) for p in _files(root, "package, what a robot needs") if p.suffix == ".py"
     )
-    used = sum(map(_lines, files - of_tools))
-    found["loaded by segloc.Localizer"] = sum(map(_lines, files))
-    found["of that, tools"] = sum(map(_lines, of_tools))
-    found["share of what a robot needs that is loaded"] = f"{100 * used / core:.0f} %"
+    for names in _NAMES:
+        files, (bare, first) = loaded(root, *names)
+        tools = sum(_lines(path) for path in files if _is_tool(root, path))
+        used = sum(map(_lines, files)) - tools
+        share = f"{used} ({100 * used / needed:.0f} %)"
+        found[f"loaded by {names[0]}: of what a robot needs"] = share
+        found[f"loaded by {names[0]}: of tools"] = tools
+        found[f"import of {names[0]}"] = f"{first:.0f} ms"
     found["import segloc"] = f"{bare:.0f} ms"
-    found["import segloc, then Localizer"] = f"{first:.0f} ms"
     return found
 
 
