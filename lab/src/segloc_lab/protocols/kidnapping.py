@@ -150,13 +150,13 @@ class World:
         Positions of the drive up to which it has been along the map for some scans.
     """
 
-    def __init__(self, kind: Kind, seed: int) -> None:
+    def __init__(self, kind: Kind, seed: int, replaced: float = 0.1) -> None:
         self.kind, self.seed = kind, seed
         sensor = SENSORS[kind.sensor]()
         mapped, driven = simulate_sessions(
             SCENES[kind.scene](seed, size_m=kind.size_m),
             sensor.thinned(4 if kind.sensor == "hdl64e" else 2),
-            [Conditions(), Conditions(replaced=0.1)],
+            [Conditions(), Conditions(replaced=replaced)],
             length_m=kind.length_m,
             spacing_m=kind.spacing_m,
             seed=seed,

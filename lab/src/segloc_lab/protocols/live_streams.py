@@ -21,7 +21,8 @@ at once; ``--add`` adds up.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ import numpy as np
 
 from segloc import Config, Localization, Localizer, Scan, build_map, geometry
 from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
+from segloc.errors import InvalidScan
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.pipeline import Search
 from segloc.proposals import Query
@@ -59,6 +61,8 @@ OFF_M, KITTI_OFF_M, OFF_DEG = 2.0, 3.0, 10.0
 TENTHS, MAX_GROWTH = 10, 0.05
 
 Sample = dict[str, Any]
+Message = tuple[str, int]
+"""``"odometry"`` or ``"scan"``, and its position."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,12 @@ class Stream:
     odometry, truths : (N, 4, 4) float64
     off_m : float
         What is farther off is false.
+    rate_hz : float
+        Of scans.
+    starts_m, give_up_m : float
+        Travel between the starts of a first fix (infinite: none), and until it is given up.
+    messages : sequence of Message or None
+        What arrives, in order; None: the odometry of each scan, then the scan.
     """
 
     name: str
@@ -79,6 +89,10 @@ class Stream:
     odometry: Float64
     truths: Float64
     off_m: float = OFF_M
+    rate_hz: float = RATE_HZ
+    starts_m: float = STARTS_M
+    give_up_m: float = GIVE_UP_M
+    messages: Sequence[Message] | None = None
 
 
 def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> Stream:
@@ -117,11 +131,16 @@ class Step:
     query_ms: tuple[float, ...]
 
 
-def followed(core: LiveCore, scan: Scan, stamp: float, T_odom_sensor: Float64) -> Step:
-    """Add a scan, and make its queries."""
+def followed(
+    core: LiveCore, scan: Scan | None, stamp: float, T_odom_sensor: Float64 | None
+) -> Step:
+    """Add a scan, the odometry, or both, and make the queries that are due."""
     begun = time.process_time()
-    core.add_odometry(stamp, T_odom_sensor)
-    core.add_scan(scan, stamp)
+    if T_odom_sensor is not None:
+        with suppress(InvalidScan):  # as a node does
+            core.add_odometry(stamp, T_odom_sensor)
+    if scan is not None:
+        core.add_scan(scan, stamp)
     taken, queries = time.process_time(), []
     scan_ms = 1e3 * (taken - begun)
     while (asked := core.due()) is not None:
@@ -146,7 +165,7 @@ def right(metres: float, degrees: float, off_m: float) -> bool:
 
 def stream_record(stream: Stream) -> dict[str, Any]:
     """Localize along a stream, and restart along it."""
-    steps = list(_along(stream, range(len(stream.odometry))))
+    steps = list(_all(stream))
     covered = _covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
     errors = [
@@ -170,6 +189,7 @@ def stream_record(stream: Stream) -> dict[str, Any]:
         "scans": len(steps),
         "covered": int(covered.sum()),
         "localized": int((sure & covered & ~off).sum()),
+        "at": np.flatnonzero(sure & ~off).tolist(),
         "false_m": round(float(metres[sure & off].sum()), 2),
         "degraded_false_m": round(float(metres[~sure & off].sum()), 2),
         "degraded": len(degraded),
@@ -181,11 +201,32 @@ def stream_record(stream: Stream) -> dict[str, Any]:
     }
 
 
+def _all(stream: Stream) -> Iterator[Step]:
+    """Yield one step a scan of a stream: its messages up to the next scan."""
+    if stream.messages is None:
+        yield from _along(stream, range(len(stream.odometry)))
+        return
+    core, steps = LiveCore(stream.localizer, T_base_sensor=np.eye(4)), dict[int, Step]()
+    last, nothing = 0, Step(core.state, 0.0, ())
+    for what, i in stream.messages:
+        scan = Scan(stream.recording.scan(i).points) if what == "scan" else None
+        step = followed(
+            core, scan, i / stream.rate_hz, stream.odometry[i] if scan is None else None
+        )
+        last = max(last, i)
+        before = steps.get(last, nothing)
+        times = before.scan_ms + step.scan_ms, before.query_ms + step.query_ms
+        steps[last] = Step(step.state, *times)
+    for i in range(len(stream.odometry)):
+        nothing = steps.get(i, replace(nothing, scan_ms=0.0, query_ms=()))
+        yield nothing
+
+
 def _along(stream: Stream, positions: range) -> Iterator[Step]:
     core = LiveCore(stream.localizer, T_base_sensor=np.eye(4))
     for i in positions:
         scan = Scan(stream.recording.scan(i).points)
-        yield followed(core, scan, i / RATE_HZ, stream.odometry[i])
+        yield followed(core, scan, i / stream.rate_hz, stream.odometry[i])
 
 
 def _covered(stream: Stream) -> np.ndarray:
@@ -195,12 +236,14 @@ def _covered(stream: Stream) -> np.ndarray:
 
 def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
     """Return metres until localized, from places of the map; None off the map's trajectory."""
+    if stream.starts_m == np.inf:
+        return []
     travelled, found = geometry.travelled(stream.truths), []
-    for start in np.arange(0.0, travelled[-1], STARTS_M):
+    for start in np.arange(0.0, travelled[-1], stream.starts_m):
         first = int(np.searchsorted(travelled, start))
-        stays = covered[first : int(np.searchsorted(travelled, start + GIVE_UP_M))]
+        stays = covered[first : int(np.searchsorted(travelled, start + stream.give_up_m))]
         last = first + (len(stays) if stays.all() else int(stays.argmin()))
-        if travelled[min(last, len(travelled) - 1)] - travelled[first] < GIVE_UP_M / 2:
+        if travelled[min(last, len(travelled) - 1)] - travelled[first] < stream.give_up_m / 2:
             continue
         steps = enumerate(_along(stream, range(first, last)), first)
         fixed = (travelled[i] for i, step in steps if step.state.status is Status.LOCALIZED)
@@ -327,13 +370,13 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
                 total["scans"],
                 f"{100 * share:.1f} %",
                 len(fixes),
-                _spread(fixes, 95, 0),
+                spread(fixes, 95, 0),
                 round(total["false_m"], 1),
                 round(total["degraded_false_m"], 1),
                 f"{total['degraded_within']} of {total['degraded']}",
-                _spread(_joined(here, "errors"), 95, 2),
-                _spread(scan, 99, 1),
-                _spread(query, 99, 0),
+                spread(_joined(here, "errors"), 95, 2),
+                spread(scan, 99, 1),
+                spread(query, 99, 0),
                 f"{load:.2f}",
             )
         )
@@ -344,7 +387,8 @@ def _joined(records: list[dict[str, Any]], key: str) -> Float64:
     return np.concatenate([np.asarray(r[key], dtype=np.float64) for r in records])
 
 
-def _spread(values: Iterable[float], high: int, digits: int) -> str:
+def spread(values: Iterable[float], high: int, digits: int) -> str:
+    """Return the median and a higher percentile as text."""
     found = np.sort(np.asarray(list(values), dtype=np.float64))
     if not len(found):
         return "-"
