@@ -52,7 +52,6 @@ PACKAGES = {
     "numpy": "*",
     "scipy": "*",
     "pydantic": "*",
-    "safetensors": "descriptors map",
     "yaml": "config map system",
     "laspy": "io",
     "lazrs": "io",

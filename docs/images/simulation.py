@@ -16,8 +16,8 @@ from matplotlib import pyplot
 from segloc_lab.report import parser
 from segloc_lab.simulation import SCENES, SENSORS, Conditions, LineLidar, SimulatedSequence
 from segloc_lab.simulation.drives import simulate_sessions
+from segloc_lab.swathes import swathes
 
-from segloc.datasets.swathes import swathes
 from segloc.inspect.pictures import RED
 from segloc.types import Float32, Float64
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,7 +17,6 @@ from segloc import geometry
 from segloc.datasets import open_sequence
 from segloc.datasets.layout import parse_float4
 from segloc.datasets.loaders import boreas, helipr, nclt, robotcar
-from segloc.datasets.ros.bags import _parse_cdr, _parse_ros1
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.datasets.tracks import clean_track, euler_poses, read_table, rising
 from segloc.errors import DatasetError
@@ -129,18 +127,6 @@ def test_point_clouds_that_do_not_fit() -> None:
     assert to_scan(message).dropped == 4  # not a number, and so are their times
     with pytest.raises(DatasetError, match="field z lies outside the 8 bytes of a point"):
         to_scan(Message(1, 4, 8, 32, data))
-
-
-@given(st.binary(max_size=80), st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1))
-def test_headers_of_messages(tail: bytes, seconds: int, nanoseconds: int) -> None:
-    frame = b"lidar"
-    ros1 = struct.pack("<IIII", 7, seconds, nanoseconds, len(frame)) + frame
-    cdr = b"\0\1\0\0" + struct.pack("<iII", seconds, nanoseconds, len(frame) + 1) + frame + b"\0"
-    expected = (seconds * 10**9 + nanoseconds, "lidar")
-    assert _parse_ros1(ros1 + tail) == _parse_cdr(cdr + tail) == expected
-    for parse, head in ((_parse_ros1, ros1), (_parse_cdr, cdr)):
-        with pytest.raises((struct.error, IndexError)):
-            parse(head[: len(head) // 2])
 
 
 # --- poses ----------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from segloc.descriptors.pointset import (
     Layer,
     PointSetDescriptor,
     load_weights,
-    save_weights,
 )
 from segloc.errors import WeightsError
 from segloc.types import Segments
@@ -27,6 +26,7 @@ models = pytest.importorskip("segloc_lab.training.models")
 
 from segloc_lab.training.config import HeadKind  # noqa: E402
 from segloc_lab.training.pair_fitting import PairHead  # noqa: E402
+from segloc_lab.training.writing import write_network  # noqa: E402
 
 torch.set_num_threads(1)  # small problems: more threads only wait for each other
 
@@ -149,7 +149,7 @@ def write(path: Path, change: str) -> None:
     if change == "not finite":
         tensors["fc1.weight"][3, 5] = np.nan
     layers = [Layer(160, 8, 64, 32), *DSM_LAYERS[1:]] if change == "bad table" else DSM_LAYERS
-    save_weights(path, tensors, layers, "pca2d", {"data": "test"})
+    write_network(path, tensors, layers, "pca2d", {"data": "test"})
     if change == "truncated":
         path.write_bytes(path.read_bytes()[:-1000])
     if change == "garbage":
@@ -238,7 +238,7 @@ def test_a_damaged_fc4_is_named(
     path = tmp_path / "network.safetensors"
     model = random_model("dsm")
     pairs = {name: np.ones(shape, np.float32) for name, shape in tensors.items()}
-    save_weights(path, {**export.folded(model), **pairs}, model.layers, "pca2d", {})
+    write_network(path, {**export.folded(model), **pairs}, model.layers, "pca2d", {})
     with pytest.raises(WeightsError, match=fault):
         load_weights(path)
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from samples.shapes import shapes_dataset
 from segloc_lab.training.grow_forest import ForestConfig, train_forest, trees_of
+from segloc_lab.training.writing import write_forest
 
 from segloc import _native
 from segloc.descriptors.random_forest import (
@@ -17,7 +18,6 @@ from segloc.descriptors.random_forest import (
     Layout,
     PairForest,
     Trees,
-    save_forest,
 )
 from segloc.descriptors.weightfile import read_weights, write_weights
 from segloc.errors import ConfigError, WeightsError
@@ -106,7 +106,7 @@ class Plain(ForestDescriptor):
 
 def test_a_file_keeps_the_forest(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
-    save_forest(path, STUMP, Plain.layout, Plain.fingerprint, {"data": "none"})
+    write_forest(path, STUMP, Plain.layout, Plain.fingerprint, {"data": "none"})
     forest = PairForest.load(path, Plain())
     assert forest.card == {"data": "none"}
     query, prior_map = np.array([[1.0]], np.float32), np.array([[1.4], [1.6]], np.float32)
@@ -124,7 +124,7 @@ def test_without_its_forest_a_method_describes_and_says_what_to_install() -> Non
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
-    save_forest(path, STUMP, Plain.layout, Plain.fingerprint, {})
+    write_forest(path, STUMP, Plain.layout, Plain.fingerprint, {})
     stored = STUMP.arrays()
     settings = {"descriptor": "plain-1", "layout": '{"plain": 1}'}
 

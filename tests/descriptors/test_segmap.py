@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.segments import packed
+from segloc_lab.training.writing import write_segmap
 
 from segloc import _native, geometry
 from segloc.descriptors import segmap
@@ -111,7 +112,7 @@ def test_neither_batches_nor_threads_change_a_bit() -> None:
 
 def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
     path, tensors = tmp_path / "w.safetensors", random_tensors()
-    segmap.save_weights(path, tensors, {"data": "none"})
+    write_segmap(path, tensors, {"data": "none"})
     assert path.stat().st_size < 10_000_000
     descriptor = segmap.SegMapDescriptor(path, threads=1)
     assert descriptor.dim == 64 and descriptor.card == {"data": "none"}
@@ -128,7 +129,7 @@ def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
-    segmap.save_weights(path, random_tensors(0, (32, 32, 32)), {})
+    write_segmap(path, random_tensors(0, (32, 32, 32)), {})
     kind, stored = (
         "voxel network",
         read_weights(path, "voxel network", {"fc1.weight": np.int8}).tensors,

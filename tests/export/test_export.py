@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from segloc import ConfigError, DatasetError, SegmentMap, geometry
 from segloc.batch import Evaluation
-from segloc.cli.align import _write
+from segloc.cli.align import write_alignment
 from segloc.cli.results import write_results
 from segloc.export import export
 from segloc.export.formats import Options
@@ -79,7 +79,7 @@ def aligned(tmp_path: Path) -> tuple[Path, Alignment]:
         ["a", "b", "c"], indices, tracks, [T @ t for t in tracks], [[0, 1], [2]], loops, *ends
     )
     out = tmp_path / "aligned"
-    _write(out, found, AlignConfig(), summary(found))
+    write_alignment(out, found, AlignConfig(), summary(found))
     return out, found
 
 

@@ -34,7 +34,7 @@ def hashed(data: bytes) -> bytes:
                 begin, end = entry["data_offsets"]
                 values = np.frombuffer(data[8 + size :][begin:end], kinds[entry["dtype"]])
                 tensors[name] = values.reshape(entry["shape"])
-        metadata["sha256"] = weightfile._digest(tensors, json.loads(metadata["settings"]))
+        metadata["sha256"] = weightfile.digest_of(tensors, json.loads(metadata["settings"]))
         text = json.dumps(header).encode()
     except Exception:  # no such file
         return data

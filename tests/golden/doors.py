@@ -13,6 +13,7 @@ from segloc_lab.simulation import (
     simulate_sessions,
     warehouse,
 )
+from segloc_lab.swathes import swathes
 from segloc_stems import LandmarkLocalizer, find_stems
 
 from segloc import (
@@ -31,7 +32,7 @@ from segloc import (
     update_map,
 )
 from segloc._native import instruction_set
-from segloc.datasets import NO_POSES, swathes
+from segloc.datasets import NO_POSES
 from segloc.doctor import examine
 from segloc.io import read_scan
 from segloc.live import LiveConfig, LiveCore

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from samples.io import pcd
 from scipy.spatial.transform import Rotation
 
@@ -120,42 +119,17 @@ def test_damaged_files_never_crash(
         assert "\n" not in str(error)
 
 
-@given(
-    hnp.arrays(np.float64, (3,), elements=st.floats(-3, 3)),
-    hnp.arrays(np.float64, (3,), elements=st.floats(-100, 100)),
-    st.floats(0, 1),
-)
-def test_interpolation_is_linear_and_of_constant_turn(
-    turn: np.ndarray, step: np.ndarray, share: float
-) -> None:
-    start, end = np.eye(4), np.eye(4)
-    start[:3, :3] = Rotation.from_rotvec([0.3, -2.0, 1.0]).as_matrix()
-    turn = turn * min(1.0, 3.0 / max(np.linalg.norm(turn), 1e-9))  # the short way round
-    end[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
-    end[:3, 3] = step
-    trajectory = Trajectory(np.array([10.0, 14.0]), np.array([start, end]))
-    T = trajectory.interpolate(10 + 4 * share)
-    np.testing.assert_allclose(T[:3, 3], share * step, atol=1e-9)
-    expected = start[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
-    np.testing.assert_allclose(T[:3, :3], expected, atol=1e-7)
-    np.testing.assert_array_equal(T[3], [0, 0, 0, 1])
-
-
 def test_lookup() -> None:
     trajectory = path_of(5)
     for i, stamp in enumerate(trajectory.stamps):
         found = trajectory.at(float(stamp))
         np.testing.assert_array_equal(found, trajectory.poses[i])
         found[:] = 0  # a copy
-        np.testing.assert_array_equal(trajectory.interpolate(float(stamp)), trajectory.poses[i])
     first, last = float(trajectory.stamps[0]), float(trajectory.stamps[-1])
     assert trajectory.at(first + 1e-6) is None
     for stamp in (first - 1, last + 1, float("nan"), float("inf")):
         assert trajectory.at(stamp) is None
-        with pytest.raises(DatasetError, match="no poses around"):
-            trajectory.interpolate(stamp)
-    with pytest.raises(DatasetError, match="no poses around"):
-        path_of(0).interpolate(0.0)
+    assert path_of(0).at(0.0) is None
 
 
 def test_a_trajectory_is_checked_and_keeps_its_own_data() -> None:

@@ -8,17 +8,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from segloc import Config, Localizer, build_map, geometry, sample
-from segloc.likelihood.registration import ERRORS
 
 pytestmark = pytest.mark.slow
-
-
-def test_what_is_widened_can_be_narrowed_again() -> None:
-    root = np.random.default_rng(0).normal(size=(6, 6)) * 1e-3
-    narrow = root @ root.T
-    wide = ERRORS.widened(narrow)
-    assert (np.linalg.eigvalsh(wide - narrow) > 0).all()
-    np.testing.assert_allclose(ERRORS.narrowed(wide), narrow, atol=1e-12)
 
 
 @pytest.mark.parametrize("accumulated", [False, True])

@@ -35,8 +35,9 @@ from segloc_lab.simulation import (
 )
 from segloc_lab.simulation.objects.mesh import Objects, boxes
 from segloc_lab.simulation.objects.scene import Terrain
+from segloc_lab.swathes import swathes
 
-from segloc.datasets import open_sequence, parse_select, swathes
+from segloc.datasets import open_sequence, parse_select
 from segloc.errors import ConfigError, DatasetError
 from segloc.io import read_trajectory
 from segloc.types import Scan

@@ -89,7 +89,7 @@ def align(
         )
         aligned = [Reposed(r, T) for r, T in zip(recordings, alignment.poses, strict=True)]
         facts = summary(alignment)
-        _write(out, alignment, settings, facts)
+        write_alignment(out, alignment, settings, facts)
         _write_maps(out, alignment, aligned, chosen, executor)
     _show(alignment, facts, out)
 
@@ -178,7 +178,10 @@ def _write_poses(
     write_text(out / "alignment.json", json.dumps(facts, indent=2) + "\n")
 
 
-def _write(out: Path, alignment: Alignment, settings: AlignConfig, facts: dict[str, Any]) -> None:
+def write_alignment(
+    out: Path, alignment: Alignment, settings: AlignConfig, facts: dict[str, Any]
+) -> None:
+    """Write poses, loops and a picture of an alignment into a folder."""
     from ..loops.summary import loops_csv, loops_jsonl, picture
     from ..system.files import replacing, write_text
 

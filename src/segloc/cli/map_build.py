@@ -119,7 +119,7 @@ def _build(
 
 def _posed(paths: list[Path], recordings: Iterator[Sequence]) -> list[Sequence]:
     """Return recordings that can be mapped: scans with poses."""
-    from ..io.clouds import is_cloud
+    from ..system.files import is_cloud
 
     posed = []
     for path in paths:

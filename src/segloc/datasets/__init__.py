@@ -15,8 +15,6 @@ from .recorded import RecordedSequence as RecordedSequence
 from .recorded import Selection as Selection
 from .recorded import Sequence as Sequence
 from .recorded import parse_select as parse_select
-from .swathes import Swathes as Swathes
-from .swathes import swathes as swathes
 
 NO_POSES = "none"
 """Value of ``poses`` that ignores a recording's own poses."""

@@ -76,14 +76,6 @@ def signature(points: NDArray[np.floating]) -> Signature | None:
     return Signature(max(count, 2), low, high, sharpness)
 
 
-def is_push_broom(recording: Recording) -> bool:
-    """Return whether scans are sweeps of one plane, by the largest of a few.
-
-    Raise DatasetError if one of them cannot be read.
-    """
-    return sensor_of(recording) == PUSH_BROOM
-
-
 def sensor_of(recording: Recording, sample: int = 5) -> str:
     """Classify the sensor by the largest of ``sample`` scans; "" if all are empty.
 

@@ -9,8 +9,8 @@ object.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -21,7 +21,7 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Float64, Int64, Segments
 from .base import Descriptor, Pruner
-from .weightfile import digest_of, faults_of_weights, read_weights, write_weights
+from .weightfile import digest_of, faults_of_weights, read_weights
 
 Alignment = Literal["none", "pca2d", "pca3d"]
 Judge = Literal["none", "pair", "nearest"]
@@ -107,25 +107,6 @@ class Weights:
     card: dict[str, Any]
     sha256: str
     pair_head: PairHead | None
-
-
-def save_weights(
-    path: Path,
-    tensors: Mapping[str, Float32],
-    layers: Sequence[Layer],
-    alignment: Alignment,
-    card: Mapping[str, Any],
-) -> None:
-    """Write a weights file with its layer table, card and hash.
-
-    ``card`` is the origin of the weights: data, command, figures, licence.
-    """
-    settings = {
-        "points": str(POINTS),
-        "layers": json.dumps([asdict(layer) for layer in layers]),
-        "alignment": alignment,
-    }
-    write_weights(path, KIND, tensors, settings, card)
 
 
 def load_weights(path: Path) -> Weights:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,9 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Float32, Int64
 from .base import Descriptor, Pruner
-from .weightfile import digest_of, faults_of_weights, read_weights, shipped_weights, write_weights
+from .weightfile import digest_of, faults_of_weights, read_weights, shipped_weights
 
-_KIND = "forest"
+KIND = "forest"
 _DTYPES = {"roots": np.int32, "feature": np.int32, "threshold": np.float32, "first_child": np.int32}
 
 
@@ -116,7 +116,7 @@ class PairForest(Pruner):
         WeightsError
             If the file is missing, damaged, no forest, or was made for another descriptor.
         """
-        file = read_weights(path, _KIND, _DTYPES)
+        file = read_weights(path, KIND, _DTYPES)
         made_for = file.settings.get("descriptor")
         if made_for != descriptor.fingerprint:
             raise WeightsError(f"{path}: made for {made_for}, not for {descriptor.fingerprint}")
@@ -168,17 +168,6 @@ class ForestDescriptor(Descriptor):
     @pruner.setter
     def pruner(self, forest: Pruner) -> None:
         self._forest = forest
-
-
-def save_forest(
-    path: Path, trees: Trees, layout: Layout, fingerprint: str, card: Mapping[str, Any]
-) -> None:
-    """Write a forest for descriptors of a fingerprint.
-
-    ``card`` is the origin of the forest: data, command, figures, licence.
-    """
-    settings = {"descriptor": fingerprint, "layout": json.dumps(asdict(layout), sort_keys=True)}
-    write_weights(path, _KIND, trees.arrays(), settings, card)
 
 
 def shipped_forest(method: str) -> Path:

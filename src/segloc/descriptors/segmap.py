@@ -7,7 +7,6 @@ is stored as int8 with a scale per output: 9 MB instead of 34.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,16 +18,16 @@ from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Int64, Segments
 from .base import Descriptor, register
-from .weightfile import faults_of_weights, read_weights, shipped_weights, write_weights
+from .weightfile import faults_of_weights, read_weights, shipped_weights
 
 GRID = (32, 32, 16)
 
 PREPROCESSING_VERSION = 1
 """Version of `prepare`, increased if its result changes."""
 
-_KIND = "voxel network"
-_QUANTIZED = "fc1.weight"
-_SCALE = "fc1.weight.scale"
+KIND = "voxel network"
+QUANTIZED = "fc1.weight"
+SCALE = "fc1.weight.scale"
 
 
 @dataclass(frozen=True)
@@ -69,34 +68,6 @@ def prepare(segments: Segments, threads: int = 0) -> VoxelShapes:
     return VoxelShapes(*_native.voxel_shapes(segments.points, segments.offsets, threads))
 
 
-def save_weights(path: Path, tensors: Mapping[str, Float32], card: Mapping[str, Any]) -> None:
-    """Write a weights file with its card and hash.
-
-    Parameters
-    ----------
-    path : Path
-    tensors : dict of str to array
-        Float32: conv1.weight (3, 3, 3, 1, 32), conv2.weight (3, 3, 3, 32, 64), conv3.weight
-        (3, 3, 3, 64, 64), fc1.weight (16387, 512), fc2.weight (512, 64), and a bias for each. The
-        first dense layer reads the features by x, y, z and channel, then the three scales.
-    card : dict
-        Origin of the weights: data, command, figures, licence.
-    """
-    stored: dict[str, NDArray[Any]] = {
-        name: np.ascontiguousarray(tensor, np.float32) for name, tensor in tensors.items()
-    }
-    stored[_QUANTIZED], stored[_SCALE] = quantized(stored[_QUANTIZED])
-    settings = {"preprocessing": str(PREPROCESSING_VERSION)}
-    write_weights(path, _KIND, stored, settings, card)
-
-
-def quantized(weight: Float32) -> tuple[NDArray[np.int8], Float32]:
-    """Quantize an (inputs, outputs) matrix to int8, with a scale per output."""
-    largest = np.abs(weight).max(axis=0)
-    scale = np.where(largest > 0, largest / 127, 1).astype(np.float32)
-    return np.rint(weight / scale).astype(np.int8), scale
-
-
 def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]:
     """Load the network, the card and the hash of a weights file.
 
@@ -106,12 +77,12 @@ def load_weights(path: Path) -> tuple[_native.VoxelNetwork, dict[str, Any], str]
         If the file is missing, truncated, of another format, does not match its hash, or if a
         tensor is missing, unknown, of the wrong shape or dtype, or not finite.
     """
-    file = read_weights(path, _KIND, {_QUANTIZED: np.int8})
+    file = read_weights(path, KIND, {QUANTIZED: np.int8})
     if file.settings.get("preprocessing") != str(PREPROCESSING_VERSION):
         raise WeightsError(f"{path}: made for another preparation of the segments")
     with faults_of_weights(path):
         tensors = dict(file.tensors)
-        tensors[_QUANTIZED] = tensors[_QUANTIZED] * tensors.pop(_SCALE)
+        tensors[QUANTIZED] = tensors[QUANTIZED] * tensors.pop(SCALE)
         return _native.VoxelNetwork(tensors), file.card, file.sha256
 
 

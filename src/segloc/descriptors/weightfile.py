@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from safetensors.numpy import save
 
 from ..errors import INSTALL_LAB, DatasetError, WeightsError
 from ..system import tensor_file
@@ -81,10 +80,9 @@ def write_weights(
         "card": json.dumps(dict(card), sort_keys=True),
         "sha256": digest_of(tensors, settings),
     }
-    contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream:
-        stream.write(save(contiguous, metadata))
+        tensor_file.write_tensors(stream, tensors, metadata)
 
 
 def read_weights(

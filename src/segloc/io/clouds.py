@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import DatasetError, InvalidScan, MissingDependency
 from ..geometry import transform
 from ..system.checks import checked_pose
+from ..system.files import CLOUD_SUFFIXES, is_cloud
 from ..types import Float64
 from . import pcd, ply
 from .fields import MAX_HEADER_BYTES, PointLayout, column, faults_of, one_line, require_points
@@ -24,8 +25,6 @@ from .text import COMMENTS, table_parts, text_parts
 
 PART = 1_000_000
 """Points that are read at a time."""
-SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
-"""Of files that hold nothing but clouds; these are read of a folder."""
 GLIM = "points_compact.bin"
 """The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
 WHOLE = (".e57", ".npy")
@@ -34,11 +33,6 @@ _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
 
 Paths = str | Path | Sequence[str | Path]
 Progress = Callable[[int, int], None]
-
-
-def is_cloud(path: Path) -> bool:
-    """Whether a name is that of a point cloud and of nothing else."""
-    return path.suffix.lower() in SUFFIXES
 
 
 def cloud_files(paths: Paths) -> list[Path]:
@@ -60,7 +54,8 @@ def _files(where: Path) -> list[Path]:
         if not where.is_file():
             raise DatasetError(f"{where}: no such file")
         if not is_cloud(where) and scan_suffix(where) is None:
-            raise DatasetError(f"{where}: not a point cloud by its name: {', '.join(SUFFIXES)}")
+            names = ", ".join(CLOUD_SUFFIXES)
+            raise DatasetError(f"{where}: not a point cloud by its name: {names}")
         return [where]
     # A folder may be called map.pcd, as Autoware's is.
     found = list(where.rglob(GLIM))

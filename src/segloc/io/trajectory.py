@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from ..errors import DatasetError
 from ..system.checks import MAX_METRES, are_rotations
@@ -50,26 +50,6 @@ class Trajectory:
         if position == len(self) or self.stamps[position] != stamp:
             return None
         return np.array(self.poses[position])
-
-    def interpolate(self, stamp: float) -> Pose:
-        """Interpolate the (4, 4) pose at a stamp: linear in position, slerp in rotation.
-
-        Raise DatasetError if the stamp lies before the first or after the last.
-        """
-        exact = self.at(stamp)
-        if exact is not None:
-            return exact
-        after = int(np.searchsorted(self.stamps, stamp))
-        if not 0 < after < len(self):  # NaN sorts last
-            raise DatasetError(f"no poses around stamp {stamp}")
-        pair = slice(after - 1, after + 1)
-        start, end = self.stamps[pair]
-        share = (stamp - start) / (end - start)
-        T = np.eye(4)
-        ends = Rotation.from_matrix(np.array(self.poses[pair, :3, :3]))  # older SciPy writes to it
-        T[:3, :3] = Slerp([0.0, 1.0], ends)(share).as_matrix()
-        T[:3, 3] = (1 - share) * self.poses[after - 1, :3, 3] + share * self.poses[after, :3, 3]
-        return T
 
 
 def first_fault(stamps: Float64, poses: Float64) -> tuple[int, str] | None:

@@ -51,11 +51,6 @@ class ErrorModel:
         wide: Float64 = covariance * np.outer(self._scales, self._scales) + self._floor
         return wide
 
-    def narrowed(self, covariance: Float64) -> Float64:
-        """Invert :meth:`widened`."""
-        narrow: Float64 = (covariance - self._floor) / np.outer(self._scales, self._scales)
-        return narrow
-
     @property
     def _scales(self) -> Float64:
         return np.repeat([self.rotation_scale, self.translation_scale], 3)

@@ -9,9 +9,6 @@ from .core import State as State
 from .kept_pose import PoseKeeper as PoseKeeper
 from .lidar_odometry import LidarOdometry as LidarOdometry
 from .localizer import LiveLocalizer as LiveLocalizer
-from .merge import MountedScan as MountedScan
-from .merge import ScanMerger as ScanMerger
 from .replay import Replay as Replay
 from .replay import play as play
 from .replay import pose_errors as pose_errors
-from .smooth import SmoothTransform as SmoothTransform

@@ -21,9 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapFormatError, SeglocError
-from ..io.clouds import is_cloud
-from ..system.files import replacing
-from ..system.tensor_file import MAX_HEADER_BYTES, TensorFile, TensorFileError, open_tensor_file
+from ..system.files import is_cloud, replacing
+from ..system.tensor_file import (
+    MAX_HEADER_BYTES,
+    TensorFile,
+    TensorFileError,
+    encoded_header,
+    open_tensor_file,
+    shapes_of,
+    write_tensors,
+)
 from .coding import (
     CodingError,
     Recipes,
@@ -46,7 +53,6 @@ Array = NDArray[Any]
 REQUIRED_FIELDS = ("descriptor", "fingerprint", "cloud_voxel", "metadata")
 
 _DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "U8": "|u1"}
-_DTYPE_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _VERSION, _CHECKSUM, _CODING = "segmap_version", "checksum", "coding"
 
 
@@ -130,7 +136,7 @@ def write(path: str | Path, contents: Contents) -> None:
         raise SeglocError(f"{path}: not written: {fault}")
     data = {
         name: np.ascontiguousarray(contents.arrays[name], dtype=_DTYPES[dtype])
-        for name, (dtype, *_) in SCHEMA.items()  # widest first, to keep buffers aligned
+        for name, (dtype, *_) in SCHEMA.items()
         if name in contents.arrays
     }
     texts = {
@@ -145,13 +151,12 @@ def write(path: str | Path, contents: Contents) -> None:
         texts |= {_VERSION: str(PACKED), _CODING: text_of(found[1])}
     for name, array in data.items():
         texts[f"{_CHECKSUM}.{name}"] = hashlib.blake2b(array.data, digest_size=16).hexdigest()
-    header = _header(texts, data)
-    if len(header) > MAX_HEADER_BYTES:
-        raise SeglocError(f"{path}: not written: metadata too long ({len(header)} bytes)")
+    texts[_CHECKSUM] = _header_digest(texts, shapes_of(data))
+    length = len(encoded_header(data, texts))
+    if length > MAX_HEADER_BYTES:
+        raise SeglocError(f"{path}: not written: metadata too long ({length} bytes)")
     with replacing(path) as stream:
-        stream.write(header)
-        for array in data.values():
-            stream.write(array.reshape(-1).view(np.uint8).data)
+        write_tensors(stream, data, texts)
 
 
 def read(path: str | Path) -> Contents:
@@ -270,24 +275,6 @@ def _checked_version(path: str | Path, texts: Mapping[str, str]) -> int:
             f"this version reads up to {FORMAT_VERSION})"
         )
     return int(version)
-
-
-def _header(texts: dict[str, str], data: Mapping[str, Array]) -> bytes:
-    """Encode the header of arrays; ``texts`` get its checksum."""
-    # Written here since the safetensors package orders metadata at random.
-    shapes = {
-        name: (_DTYPE_NAMES[array.dtype.str], list(array.shape)) for name, array in data.items()
-    }
-    texts[_CHECKSUM] = _header_digest(texts, shapes)
-    header: dict[str, Any] = {"__metadata__": dict(sorted(texts.items()))}
-    begin = 0
-    for name, (dtype, shape) in shapes.items():
-        end = begin + data[name].nbytes
-        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
-        begin = end
-    encoded = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    encoded += b" " * (-len(encoded) % 8)
-    return len(encoded).to_bytes(8, "little") + encoded
 
 
 def _header_digest(texts: Mapping[str, str], shapes: Mapping[str, tuple[str, list[int]]]) -> str:

@@ -25,6 +25,14 @@ from typing import BinaryIO
 from ..errors import SeglocError
 from .locks import locked, process_lives
 
+CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
+"""Suffixes of files that hold nothing but a point cloud; these are read of a folder."""
+
+
+def is_cloud(path: Path) -> bool:
+    """Return whether a name is that of a point cloud and of nothing else."""
+    return path.suffix.lower() in CLOUD_SUFFIXES
+
 
 @contextmanager
 def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:

@@ -187,23 +187,6 @@ def all_of(
     return [found[number] for number in range(len(tasks))]
 
 
-def in_parallel(
-    work: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    workers: int,
-    executor: Executor | None = None,
-) -> Iterator[tuple[int, Result]]:
-    """Run :func:`as_finished` by an executor, or else by ``workers`` processes.
-
-    Processes have one thread each for linear algebra. A single worker or task runs in this process.
-    """
-    if executor is not None or workers == 1 or len(tasks) < 2:
-        yield from as_finished(work, tasks, executor)
-        return
-    with single_threaded_pool(min(workers, len(tasks))) as pool:
-        yield from as_finished(work, tasks, pool)
-
-
 @contextmanager
 def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
     """Connect to a Dask cluster; tasks of lost workers are repeated.

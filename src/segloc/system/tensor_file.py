@@ -1,4 +1,4 @@
-"""Read files in safetensors layout: a length, a JSON header, raw buffers; never memory-mapped.
+"""Files in safetensors layout: a length, a JSON header, raw buffers; never memory-mapped.
 
 If a mapped file is truncated meanwhile, the process is killed; a short read can be rejected.
 Readers of maps and weights hash them completely anyway.
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from io import FileIO
 from math import prod
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ _DTYPES = {
     **{f"I{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)},
     **{f"U{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
 }
+_NAMES = {np.dtype(dtype).str: name for name, dtype in _DTYPES.items()}
 _PART = 1 << 15  # numbers
 _CUT_SHORT = "it was truncated while being read"
 _MAX_DIMENSIONS, _MAX_DIGITS, _MAX_SIZE = 8, 19, 1 << 62
@@ -130,6 +131,47 @@ def open_tensor_file(path: str | Path) -> Iterator[TensorFile]:
     """
     with Path(path).open("rb", buffering=0) as stream:
         yield TensorFile(stream)
+
+
+def encoded_header(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, str]) -> bytes:
+    """Encode the length and header of a file: equal contents give equal bytes, in any order.
+
+    The buffers follow in the order of :func:`in_file_order`.
+    """
+    header: dict[str, Any] = {"__metadata__": dict(sorted(texts.items()))}
+    begin, shapes = 0, shapes_of(arrays)
+    for name in in_file_order(arrays):
+        end = begin + arrays[name].nbytes
+        dtype, shape = shapes[name]
+        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
+        begin = end
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
+
+
+def shapes_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, tuple[str, list[int]]]:
+    """Return dtype, as a file names it, and shape of each array."""
+    return {
+        name: (_NAMES[array.dtype.newbyteorder("<").str], list(array.shape))
+        for name, array in arrays.items()
+    }
+
+
+def in_file_order(arrays: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Return the names of arrays, widest numbers first, so that buffers stay aligned."""
+    return sorted(arrays, key=lambda name: -arrays[name].itemsize)
+
+
+def write_tensors(
+    stream: BinaryIO, arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, str]
+) -> None:
+    """Write a file of arrays and texts."""
+    stream.write(encoded_header(arrays, texts))
+    for name in in_file_order(arrays):
+        array = arrays[name]
+        plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        stream.write(plain.reshape(-1).view(np.uint8).data)
 
 
 def _parsed(text: bytes) -> dict[str, Any]:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from samples.datasets import FLIP, START, angles, made, matrix, us
 from samples.robotcar import FRONT, write_ins, write_sweep
+from segloc_lab.swathes import swathes
 
 from segloc import geometry
-from segloc.datasets import open_sequence, swathes
+from segloc.datasets import open_sequence
 from segloc.errors import DatasetError
 from segloc.types import Float64
 

@@ -18,8 +18,8 @@ import numpy as np
 from rich.progress import track
 
 from segloc import Config, Localizer
-from segloc.system.processes import in_parallel
 
+from ..parallel import in_parallel
 from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
 from .rows import BARE, HOME, World, errors, is_right, worlds_of
 

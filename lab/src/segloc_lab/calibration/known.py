@@ -33,9 +33,9 @@ from scipy.special import expit, logit
 
 from segloc import Config, Localizer, Scan, geometry
 from segloc.likelihood import FEATURES, Known, ScoredPose
-from segloc.system.processes import in_parallel
 from segloc.types import Float32, Float64, Int64, LocalCloud, Pose
 
+from ..parallel import in_parallel
 from ..report import Cell, Table, command, publish, reporting
 from .rows import World, errors, is_right, worlds_of
 from .worlds import kind_of, narrowed, seed_of

@@ -29,9 +29,9 @@ from segloc import Config, Scan, build_map
 from segloc.batch import query_positions
 from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
-from segloc.system.processes import in_parallel
 from segloc.types import Float32, Float64, Int64, Pose
 
+from ..parallel import in_parallel
 from ..script import parser
 from ..simulation import (
     SCENES,

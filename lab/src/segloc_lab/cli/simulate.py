@@ -156,7 +156,8 @@ def simulate(
     leave the map, and find other cars, other seasons and some objects replaced.
     """
     from segloc.cli.results import check_folder
-    from segloc.datasets import swathes
+
+    from ..swathes import swathes
 
     check_folder(out)
     if file_format is not None:

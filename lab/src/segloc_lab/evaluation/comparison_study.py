@@ -20,9 +20,9 @@ from segloc import SegmentMap
 from segloc.batch import PATH_BREAK_M, Evaluation
 from segloc.config import Config
 from segloc.descriptors import Descriptor, create
-from segloc.system.processes import in_parallel
 from segloc.types import Float64
 
+from ..parallel import in_parallel
 from ..report import apart, mcnemar
 from . import comparison
 from .comparison import (

@@ -23,7 +23,8 @@ from segloc import __version__
 from segloc.errors import SeglocError
 from segloc.system.kernels import instruction_set
 from segloc.system.machine import processor
-from segloc.system.processes import in_parallel
+
+from ..parallel import in_parallel
 
 T = TypeVar("T")
 Task = TypeVar("Task")

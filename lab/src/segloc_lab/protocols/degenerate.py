@@ -15,8 +15,8 @@ from typing import Any
 from rich.progress import track
 
 from segloc import Config, Localizer, Scan, SegmentMap
-from segloc.system.processes import in_parallel
 
+from ..parallel import in_parallel
 from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
 from ..simulation.bare_views import VIEWS, view
 

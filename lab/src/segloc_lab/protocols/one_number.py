@@ -18,9 +18,9 @@ from rich.progress import track
 from segloc import Config, Localizer
 from segloc.likelihood import log_odds, shipped_model
 from segloc.localization import Reason
-from segloc.system.processes import in_parallel
 
 from ..calibration.rows import World, worlds_of
+from ..parallel import in_parallel
 from ..report import Table, earlier, entries, keep, publish, reporting
 
 COLUMNS = ("kind", "searches", "accepted", "thorough", "compared", "median", "95 %", "not in map")

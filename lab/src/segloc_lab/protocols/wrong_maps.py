@@ -23,11 +23,11 @@ from typing import Any
 from rich.progress import track
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.system.processes import in_parallel
 
 from ..calibration.rows import errors, is_right
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
+from ..parallel import in_parallel
 from ..report import Cell, Table, earlier, entries, keep, publish, resumed, wilson
 
 HOME = ("own", "half")

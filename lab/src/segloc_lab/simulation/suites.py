@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from segloc.datasets import Sequence, swathes
+from segloc.datasets import Sequence
 from segloc.errors import ConfigError
 
+from ..swathes import swathes
 from .drives import simulate_sessions
 from .motion.platforms import PLATFORMS
 from .sensors import SENSORS

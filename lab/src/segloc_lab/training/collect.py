@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from segloc.datasets.signature import is_push_broom
+from segloc.datasets.signature import PUSH_BROOM, sensor_of
 from segloc.errors import ConfigError
 from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.system.processes import as_finished, single_threaded_pool
@@ -196,7 +196,7 @@ def _write_recording(
     """Write a recording's shard, after the sessions before it, and return a summary."""
     item, before = task
     session, recording = item.session, item.recording
-    own = _for_sweeps(config) if is_push_broom(recording) else config
+    own = _for_sweeps(config) if sensor_of(recording) == PUSH_BROOM else config
     options = options_of(
         own,
         segmentation=segmentation.model_dump(mode="json"),

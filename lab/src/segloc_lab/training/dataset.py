@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save
 
 from segloc.errors import DatasetError
 from segloc.system import tensor_file
@@ -147,9 +146,8 @@ class SegmentDataset:
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {name: getattr(self, name) for name in ("points", "offsets", *_PER_SEGMENT)}
         names = json.dumps(self.sensor_names)
-        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         with replacing(path) as stream:
-            stream.write(save(contiguous, {"sensor_names": names}))
+            tensor_file.write_tensors(stream, arrays, {"sensor_names": names})
 
     @staticmethod
     def load(path: Path) -> SegmentDataset:

@@ -17,7 +17,6 @@ from segloc.descriptors.random_forest import (
     Layout,
     PairForest,
     Trees,
-    save_forest,
 )
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 from segloc.proposals import MatchingConfig
@@ -27,6 +26,7 @@ from segloc.types import Float32, Int64
 
 from .dataset import SegmentDataset
 from .metrics import share_below
+from .writing import write_forest
 
 Progress = Callable[[str], None]
 
@@ -92,7 +92,7 @@ def train_forest(
     figures = {"training segments": len(training), "validation segments": len(validation)}
     text = {name: round(value, 4) for name, value in asdict(scores).items()}
     full = {**(card or {}), "figures": {**figures, **text}, "config": config.model_dump()}
-    save_forest(out, trees, layout, descriptor.fingerprint, full)
+    write_forest(out, trees, layout, descriptor.fingerprint, full)
     return scores
 
 

@@ -18,12 +18,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc.descriptors.pointset import DIM, DSM_LAYERS, ESM_LAYERS, Alignment, Layer, save_weights
+from segloc.descriptors.pointset import DIM, DSM_LAYERS, ESM_LAYERS, Alignment, Layer
 from segloc.system import kernels
 from segloc.types import Float32
 
 from .config import HeadKind
 from .pair_fitting import PairHead
+from .writing import write_network
 
 _NATIVE = ContextVar("native", default=True)
 
@@ -392,7 +393,7 @@ def export(
     """
     pairs = model.pair_head.tensors() if with_pairs else {}
     arrays = {name: np.ascontiguousarray(tensor.numpy()) for name, tensor in pairs.items()}
-    save_weights(path, {**folded(model), **arrays}, model.layers, alignment, card)
+    write_network(path, {**folded(model), **arrays}, model.layers, alignment, card)
 
 
 @torch.no_grad()

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from segloc.descriptors.segmap import VoxelShapes, prepare, save_weights
+from segloc.descriptors.segmap import VoxelShapes, prepare
 from segloc.system import kernels
 from segloc.types import Float32, Segments
 
 from .config import points_of
 from .dataset import SegmentDataset, chunks, packed
 from .tasks import Batch, Inputs, Task
+from .writing import write_segmap
 
 DIM = 64
 MAX_OBJECTS = 6_000
@@ -116,7 +117,7 @@ class SegMapTask(Task):
         return np.concatenate(parts)
 
     def export(self, network: SegMapNetwork, path: Path, card: Mapping[str, Any]) -> None:
-        save_weights(path, folded(network), card)
+        write_segmap(path, folded(network), card)
 
 
 TASK = SegMapTask

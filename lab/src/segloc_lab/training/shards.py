@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import save
 
 from segloc.errors import DatasetError
 from segloc.system import tensor_file
@@ -53,21 +52,11 @@ def options_of(config: ExtractConfig, **more: Any) -> str:
 
 def write_shard(folder: Path, session: Session, extract: Extract, options: str) -> None:
     """Write a session's shard, with points in half precision about their centroids."""
-    arrays = {f.name: np.ascontiguousarray(getattr(extract, f.name)) for f in fields(Extract)}
+    arrays = {f.name: getattr(extract, f.name) for f in fields(Extract)}
     arrays["points"] = arrays["points"].astype(np.float16)
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / session.file) as stream:
-        stream.write(_in_order(save(arrays, {"options": options, **asdict(session)})))
-
-
-def _in_order(data: bytes) -> bytes:
-    """Return the file with its texts sorted; the package writes them in any order."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + data[8 + size :]
+        tensor_file.write_tensors(stream, arrays, {"options": options, **asdict(session)})
 
 
 def finished(folder: Path, session: Session, options: str) -> bool:
@@ -104,7 +93,7 @@ def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> La
         counts.append(count)
     total = _total(counts)
     with replacing(folder / _LABELS) as stream:
-        stream.write(save(labels))
+        tensor_file.write_tensors(stream, labels, {})
     index = {
         "version": _VERSION,
         "label": config.model_dump(),

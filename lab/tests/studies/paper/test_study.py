@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.evaluation.study import Figure, Kind, Study, Table
+from segloc_lab.parallel import in_parallel
 from segloc_lab.studies.paper.workspace import Workspace
 
 from segloc.errors import SeglocError
-from segloc.system.processes import in_parallel
 
 
 @pytest.mark.slow

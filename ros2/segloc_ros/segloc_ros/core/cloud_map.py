@@ -9,8 +9,9 @@ from pathlib import Path
 
 from segloc import SeglocError, SegmentMap
 from segloc.config import Config
-from segloc.io.clouds import GLIM, cloud_files, is_cloud, read_cloud
+from segloc.io.clouds import GLIM, cloud_files, read_cloud
 from segloc.map import DEFAULT_METHOD
+from segloc.system.files import is_cloud
 from segloc.tiles import INDEX
 from segloc.types import Float64
 

@@ -20,7 +20,7 @@ from segloc.datasets.clocks import StreamTimes
 from segloc.datasets.fixes import Fixes
 from segloc.datasets.ros.pointcloud2 import to_scan
 from segloc.io.point_times import unread_times
-from segloc.live import LidarOdometry, LiveCore, MountedScan, State, Status
+from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.map.georeference import Georeference
 from segloc.types import Float64, Pose
 
@@ -28,6 +28,7 @@ from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
 from .livox import livox_cloud
+from .merge import MountedScan
 from .queries import Answer, Job, ScansInOdom, make
 from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
 from .settings import Settings

@@ -12,12 +12,14 @@ from pydantic import Field, field_validator, model_validator
 from segloc.config import validated
 from segloc.frontend.mounting import rotation
 from segloc.geometry import rigid
-from segloc.live import LiveConfig, PoseKeeper, ScanMerger, SmoothTransform
+from segloc.live import LiveConfig, PoseKeeper
 from segloc.system.section import Section
 from segloc.tracker import TrackerConfig
 from segloc.types import Pose
 
 from .frames import frame_name
+from .merge import ScanMerger
+from .smooth import SmoothTransform
 
 
 class Settings(Section):

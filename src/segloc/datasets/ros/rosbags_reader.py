@@ -9,6 +9,7 @@ import bz2
 import os
 import struct
 from collections.abc import Callable, Collection, Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import quote
@@ -25,6 +26,8 @@ from ...errors import DatasetError
 from ...system.budget import check_bytes, check_points, most_bytes, most_message_bytes
 from .bag_metadata import check_metadata
 
+TRIED = ("0.11.9",)
+"""Versions of rosbags that its tests have passed with."""
 MAX_GROWTH = 32
 """Limit of the compression ratio of a bag file; clouds shrink to a half or a third."""
 _INDEX_ENTRY_BYTES = 12  # ROS 1
@@ -196,24 +199,50 @@ def _text(file: BinaryIO) -> str:
     return str(storage_mcap.read_bytes(file), "utf-8", "replace")
 
 
-def _install() -> None:
-    """Replace functions of rosbags; it has no settings for these."""
-    Ros1Reader.read_index_data = _counted(Ros1Reader.read_index_data)
-    for module in (rosbag2_reader, storage_mcap, storage_sqlite3):
-        module.parse_qos = _limited(module.parse_qos)
+def replacements() -> list[tuple[Any, str, Callable[[Any], Any]]]:
+    """Return what is replaced in rosbags, which has no settings for it.
+
+    Each is an owner, a name, and what makes the new value of the old one.
+    """
     zstd = rosbag2_reader.zstd
-    storage_mcap.DECOMPRESSORS.update(
-        lz4=lambda data, size: unpacked(_lz4(), data, size),
-        zstd=lambda data, size: unpacked(zstd.ZstdDecompressor(), data, size),
-    )
-    rosbag2_reader.zstd = _Zstd(zstd)
-    storage_mcap.get_msgdef, storage_mcap.read_string = _definition, _text
-    storage_sqlite3.apsw = _Apsw(storage_sqlite3.apsw)
-    for reader, key in ((rosbag2_reader.Reader, ".mcap"), (rosbag2_reader.DirectoryReader, "mcap")):
-        reader.STORAGE_PLUGINS = {**reader.STORAGE_PLUGINS, key: _Mcap}
+    ours = {
+        "lz4": lambda data, size: unpacked(_lz4(), data, size),
+        "zstd": lambda data, size: unpacked(zstd.ZstdDecompressor(), data, size),
+    }
+    return [
+        (Ros1Reader, "read_index_data", _counted),
+        (rosbag2_reader, "parse_qos", _limited),
+        (storage_mcap, "parse_qos", _limited),
+        (storage_sqlite3, "parse_qos", _limited),
+        (storage_mcap, "DECOMPRESSORS", lambda known: {**known, **ours}),
+        (storage_mcap, "get_msgdef", lambda _: _definition),
+        (storage_mcap, "read_string", lambda _: _text),
+        (storage_sqlite3, "apsw", _Apsw),
+        (rosbag2_reader, "zstd", _Zstd),
+        (rosbag2_reader.Reader, "STORAGE_PLUGINS", lambda known: {**known, ".mcap": _Mcap}),
+        (rosbag2_reader.DirectoryReader, "STORAGE_PLUGINS", lambda known: {**known, "mcap": _Mcap}),
+    ]
 
 
-_install()
+def install(replaced: list[tuple[Any, str, Callable[[Any], Any]]]) -> None:
+    """Replace names of rosbags.
+
+    Raises
+    ------
+    DatasetError
+        If this version of rosbags has no such name.
+    """
+    for owner, name, new in replaced:
+        try:
+            setattr(owner, name, new(getattr(owner, name)))
+        except AttributeError as error:
+            raise DatasetError(
+                f"rosbags {version('rosbags')} cannot be used, it has no {owner.__name__}.{name}: "
+                f"pip install rosbags=={TRIED[-1]}"
+            ) from error
+
+
+install(replacements())
 
 
 _DEFINITIONS = {

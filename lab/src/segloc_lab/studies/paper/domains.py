@@ -10,15 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from segloc import __version__
-from segloc.datasets import Sequence, Swathes
+from segloc.datasets import Sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.frontend import SegmentationConfig, Segmenter
-from segloc.system.processes import in_parallel
 
 from ... import kitti00
+from ...parallel import in_parallel
 from ...recordings import Surveyed
 from ...simulation import LineLidar, SimulatedSequence
 from ...simulation.suites import SIX, SWATHE_M, TestSet
+from ...swathes import Swathes
 from ...training.collect import Posed, collect_recordings
 from ...training.dataset import SegmentDataset
 from ...training.extract import ExtractConfig, extract_session

@@ -19,10 +19,10 @@ from segloc.descriptors.profile import ProfileDescriptor
 from segloc.descriptors.random_forest import PairForest
 from segloc.descriptors.segmap import SegMapDescriptor
 from segloc.errors import MissingDependency
-from segloc.system.processes import in_parallel
 
 from ...evaluation.comparison import QUALITY
 from ...evaluation.workspace import mute
+from ...parallel import in_parallel
 from ...training.config import TrainConfig
 from ...training.grow_forest import ForestConfig, train_forest
 from ...training.shards import INDEX, load_dataset

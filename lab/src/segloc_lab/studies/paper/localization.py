@@ -11,7 +11,7 @@ import numpy as np
 
 from segloc import geometry
 from segloc.batch import query_positions
-from segloc.datasets import Recording, Swathes
+from segloc.datasets import Recording
 from segloc.errors import DatasetError
 from segloc.types import Float64
 
@@ -20,6 +20,7 @@ from ...evaluation.comparison_study import compare
 from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, folder_size
 from ...evaluation.study import Study
 from ...simulation.suites import SIX, TestSet
+from ...swathes import Swathes
 from . import published
 from .workspace import Workspace
 

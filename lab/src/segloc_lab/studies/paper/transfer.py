@@ -10,12 +10,12 @@ from pathlib import Path
 
 from segloc.descriptors.base import Descriptor
 from segloc.errors import ConfigError, WeightsError
-from segloc.system.processes import in_parallel
 from segloc.types import Float64
 
 from ...evaluation.comparison import METHODS
 from ...evaluation.comparison import fingerprint as shipped_fingerprint
 from ...evaluation.workspace import mute, silent
+from ...parallel import in_parallel
 from ...training.shards import INDEX
 from .domains import RECORDED, SIZES, Domains, DomainSize
 from .learning import (

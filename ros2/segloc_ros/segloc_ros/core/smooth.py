@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .. import geometry
-from ..types import Float64, Pose
+from segloc import geometry
+from segloc.types import Float64, Pose
 
 
 class SmoothTransform:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import geometry
-from ..motion import times_fit
-from ..types import Pose, Scan
+from segloc import geometry
+from segloc.motion import times_fit
+from segloc.types import Pose, Scan
 
 _MAX_WAITING, _MAX_KEPT = 4, 16
 

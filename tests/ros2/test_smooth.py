@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from segloc_ros.core.smooth import SmoothTransform
 
 from segloc import geometry
-from segloc.live import SmoothTransform
 
 
 def test_corrections_are_bounded_at_the_base_and_arrive() -> None:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import geometry
-from ..errors import ConfigError, DatasetError
-from ..types import Float64, Int64, Recording, Scan, stamp_at
-from .recorded import Selection
+from segloc import geometry
+from segloc.datasets import Selection
+from segloc.errors import ConfigError, DatasetError
+from segloc.types import Float64, Int64, Recording, Scan, stamp_at
 
 
 @dataclass(frozen=True)

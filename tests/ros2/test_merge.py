@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from segloc_ros.core.merge import MountedScan, ScanMerger
 
 from segloc import Scan, geometry
-from segloc.live import MountedScan, ScanMerger
 from segloc.motion import Motion, at_stamp
 
 FRONT = geometry.yaw_transform(0.5, (1.0, 0.0, 0.5))
