@@ -61,7 +61,7 @@ class RobotState:
     Attributes
     ----------
     stamp : float
-        Of the newest scan or odometry [s]; 0 before the first.
+        Of the newest odometry [s]; 0 before the first.
     status : StateStatus
     at_rest : bool
         Whether no queries are made: the pose, if there is one, follows the odometry.
@@ -101,7 +101,7 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
     if not active:
         status, map_to_odom, reason = StateStatus.INACTIVE, TfState.NONE, "inactive"
     return RobotState(
-        0.0 if robot.state is None else robot.state.stamp,
+        robot.stamp,
         status,
         robot.trigger.resting,
         reason,

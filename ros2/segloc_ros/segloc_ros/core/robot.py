@@ -114,6 +114,7 @@ class Robot:
         self._jumps, self._sent_at = 0, -np.inf
         self._live, self._is_update_due = settings.live, False
         self._kept: Pose | None = None  # the last T_map_odom, broadcast while the robot is lost
+        self._posed_at: float | None = None  # stamp of the last pose published
         self._told: Pose | None = None  # T_map_odom that the tracker has
         self._supposed: Pose | None = None  # T_map_odom of a map that was switched to
 
@@ -125,6 +126,11 @@ class Robot:
     def core(self) -> LiveCore | None:
         """What follows the robot; None while the map or the mount is unknown."""
         return self._core
+
+    @property
+    def stamp(self) -> float:
+        """Stamp of the newest odometry [s]; 0 before the first."""
+        return self._odometry[-1][0] if self._odometry else 0.0
 
     @property
     def cloud_age_s(self) -> float | None:
@@ -570,7 +576,9 @@ class Robot:
 
     def _replies_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
-        if (pose := self._published(state)) is not None:
+        # Once a stamp: a query that corrects a pose corrects that of the next cloud.
+        if state.stamp != self._posed_at and (pose := self._published(state)) is not None:
+            self._posed_at = state.stamp
             replies.append(PoseReply.of(state.stamp, self.settings.map_frame, *pose))
         if not state.localized:
             self._told = None
