@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from ..tracking.belief import Status as Status
-from .config import LiveConfig as LiveConfig
-from .core import LiveCore as LiveCore
-from .core import State as State
-from .kept_pose import PoseKeeper as PoseKeeper
-from .lidar_odometry import LidarOdometry as LidarOdometry
-from .localizer import LiveLocalizer as LiveLocalizer
-from .merge import MountedScan as MountedScan
-from .merge import ScanMerger as ScanMerger
-from .replay import Replay as Replay
-from .replay import play as play
-from .replay import pose_errors as pose_errors
-from .smooth import SmoothTransform as SmoothTransform
+from ..tracker import QueryRequest, TrackerConfig
+from ..tracking.belief import Status, View
+from .config import LiveConfig
+from .core import LiveCore, State
+from .kept_pose import PoseKeeper
+from .lidar_odometry import LidarOdometry
+from .localizer import LiveLocalizer
+from .merge import MountedScan, ScanMerger
+from .replay import Replay, play, pose_errors
+from .smooth import SmoothTransform
+
+__all__ = [
+    "LidarOdometry",
+    "LiveConfig",
+    "LiveCore",
+    "LiveLocalizer",
+    "MountedScan",
+    "PoseKeeper",
+    "QueryRequest",
+    "Replay",
+    "ScanMerger",
+    "SmoothTransform",
+    "State",
+    "Status",
+    "TrackerConfig",
+    "View",
+    "play",
+    "pose_errors",
+]

@@ -33,6 +33,7 @@ from samples.plaza import Plaza, RingSequence
 from samples.ros_drive import BASE, LIDAR, MOUNT, ODOM
 from samples.ros_peer import running
 from samples.streams import T_MAP_ODOM
+from segloc_lab.report import Cell, Table, entries, keep, publish, resumed
 from segloc_msgs.msg import State
 from segloc_ros.core.frames import Transform
 from segloc_ros.messages import cloud_out, pose_in, seconds, set_pose, time_of, transform_out
@@ -42,7 +43,6 @@ from tf2_msgs.msg import TFMessage
 
 from segloc import Config, build_map, geometry
 from segloc.types import Float32, Float64
-from segloc_lab.report import Cell, Table, entries, keep, publish, resumed
 
 INSTALLED = Path(os.environ.get("SEGLOC_ROS_INSTALL", "build/ros/ws/install")).resolve()
 NODE = INSTALLED / "segloc_ros/lib/segloc_ros/segloc_node"
@@ -109,7 +109,7 @@ class Robot(Node):
         self.newest = dict.fromkeys(TIMED, -1)
         self.counts, self.off, self.values = dict.fromkeys(TIMED, 0), [0.0], dict[str, str]()
         self.stale: list[str] = []
-        self.status, self.localized = State.LOST, 0
+        self.status, self.reason, self.localized = State.LOST, "", 0
         self.points = self.create_publisher(PointCloud2, "points", SENSOR)
         self.odom = self.create_publisher(Odometry, "odom", SENSOR)
         self.static = self.create_publisher(TFMessage, "/tf_static", LATCHED)
@@ -145,11 +145,14 @@ class Robot(Node):
         mount = transform_out(Transform(0.0, BASE, LIDAR, MOUNT))
         self.static.publish(TFMessage(transforms=[mount]))
 
-    def _note(self, name: str, stamp: float, ahead_s: float = 0.0) -> int:
-        """Count a message by its stamp; one that is not newer than the last is stale."""
+    def _note(self, name: str, stamp: float, ahead_s: float = 0.0, is_news: bool = False) -> int:
+        """Count a message by its stamp; one that is not newer than the last is stale.
+
+        With ``is_news`` it may have the same stamp.
+        """
         key, exact = key_of(stamp - ahead_s), round(1e6 * stamp)
         self.counts[name] += 1
-        if exact <= self.newest[name]:
+        if exact < self.newest[name] or (exact == self.newest[name] and not is_news):
             self.stale.append(name)
         self.newest[name] = max(exact, self.newest[name])
         if key in self.sent_at:
@@ -168,8 +171,9 @@ class Robot(Node):
                 self._note("tf", seconds(each.header.stamp), AHEAD_S)
 
     def _on_state(self, message: State) -> None:
-        self._note("state", seconds(message.header.stamp))
-        self.status = message.status
+        is_news = (message.status, message.reason) != (self.status, self.reason)
+        self._note("state", seconds(message.header.stamp), is_news=is_news)
+        self.status, self.reason = message.status, message.reason
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self._note("diagnostics", seconds(message.header.stamp))
@@ -179,7 +183,7 @@ class Robot(Node):
     def take(self) -> dict[str, Any]:
         """Return and clear what was noted."""
         taken = {
-            **{name: count for name, count in self.counts.items()},
+            **self.counts,
             "stale": sorted(self.stale),
             "off": round(max(self.off), 3),
             "false": sum(each > OFF_M for each in self.off),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from segloc.live import Status
@@ -68,7 +68,7 @@ class RobotState:
     reason : str
         Why the status is no better; "" while localized and without a fault.
     confidence : float
-        Probability of the most probable place, in [0, 1].
+        Probability of the most probable place, in [0, 1], to two decimals.
     map_url : str
     map_to_odom : TfState
     """
@@ -85,6 +85,14 @@ class RobotState:
     def localized(self) -> bool:
         """Whether there is a pose."""
         return self.status in (StateStatus.LOCALIZED, StateStatus.DEGRADED)
+
+    def is_news_after(self, last: RobotState) -> bool:
+        """Return whether the state differs from the last one published.
+
+        Another confidence alone is news by the next stamp, so that each stamp has one message.
+        """
+        confidence = last.confidence if self.stamp == last.stamp else self.confidence
+        return replace(self, confidence=confidence) != replace(last, stamp=self.stamp)
 
 
 def robot_state(robot: Robot, active: bool) -> RobotState:
@@ -105,7 +113,7 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
         status,
         robot.trigger.resting,
         reason,
-        0.0 if current is None else current.confidence,
+        0.0 if current is None else round(current.confidence, 2),
         robot.map_path,
         map_to_odom,
     )

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from segloc import Localizer, SeglocError
-from segloc.types import Pose
+from segloc.robot import Pose
 
 from .maps import MapFile
 from .replies import Reply
