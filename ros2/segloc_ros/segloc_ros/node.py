@@ -67,6 +67,19 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
+def _message_type(name: str) -> Any:
+    """Return the class of a message type, as ``sensor_msgs/msg/PointCloud2``.
+
+    Raise ImportError if it is not installed.
+    """
+    package, _, message = name.split("/")
+    module = importlib.import_module(f"{package}.msg")
+    try:
+        return getattr(module, message)
+    except AttributeError as error:
+        raise ImportError(f"{package} has no message {message}") from error
+
+
 class SeglocNode(LifecycleNode):
     """Localizes a robot in a prior map. Parameters: :class:`segloc_ros.core.Settings`."""
 
@@ -194,10 +207,7 @@ class SeglocNode(LifecycleNode):
                 self._inputs.append(self.create_subscription(kind, topic, heard, qos))
 
     def _subscribe_clouds(self, settings: Settings, topic: str, type_name: str) -> Any:
-        """Subscribe to a LiDAR's topic of a type.
-
-        Raise ImportError if the type is not installed.
-        """
+        """Subscribe to a LiDAR's topic of a type that is installed."""
         reliability = ReliabilityPolicy.BEST_EFFORT
         if settings.points_reliable:
             reliability = ReliabilityPolicy.RELIABLE
@@ -206,9 +216,8 @@ class SeglocNode(LifecycleNode):
         if type_name == _POINT_CLOUD2:
             heard = partial(self._on_cloud, topic)
             return self.create_subscription(PointCloud2, topic, heard, qos)
-        package, _, name = type_name.split("/")
-        kind = getattr(importlib.import_module(f"{package}.msg"), name)
-        return self.create_subscription(kind, topic, partial(self._on_livox, topic), qos, raw=True)
+        heard = partial(self._on_livox, topic)
+        return self.create_subscription(_message_type(type_name), topic, heard, qos, raw=True)
 
     def _follow_cloud_types(self, robot: Robot) -> None:
         """Subscribe with Livox's type to topics that have no publisher of another type."""
@@ -221,16 +230,16 @@ class SeglocNode(LifecycleNode):
                 robot.report_topic(f"{topic} is {types[0]}, not {_POINT_CLOUD2}: remap points")
                 continue
             try:
-                subscription = self._subscribe_clouds(robot.settings, topic, types[0])
+                _message_type(types[0])
             except ImportError:
-                self._cloud_types[topic] = subscribed
                 robot.report_topic(
                     f"{topic} is {types[0]}, which is not installed: source the driver's "
                     "workspace, or set its xfer_format to 0"
                 )
                 continue
+            # First, since Fast DDS refuses a second type of one topic in one process.
             self.destroy_subscription(self._inputs[k])
-            self._inputs[k] = subscription
+            self._inputs[k] = self._subscribe_clouds(robot.settings, topic, types[0])
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         for subscription in self._inputs:
