@@ -152,6 +152,38 @@ def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
     assert b"Traceback" not in log.read_bytes()
 
 
+def test_the_map_is_damaged_and_the_clock_jumps(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """The map in use stays, and diagnostics say why; stamps go back an hour, then ahead two."""
+    used, site = tmp_path / "used.segmap", (maps / "site.segmap").read_bytes()
+
+    def replace(data: bytes) -> None:
+        (tmp_path / "part").write_bytes(data)
+        (tmp_path / "part").replace(used)
+
+    replace(site)
+    peer.clear()
+    with running(NODE, tmp_path / "log", map=str(used), **PARAMETERS):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(4, step=1.0)
+        assert localized(peer, truth), peer.said
+        replace(site[: len(site) // 2])
+        peer.until(lambda: "the map in use stays: no map: " in peer.said, WAIT_S)
+        assert peer.heard["diagnostics"][-1].status[0].level == b"\2"
+        used.unlink()
+        peer.until(lambda: "No such file" in peer.said, WAIT_S)
+        truth = peer.walk(2, begin=(-10.0, 1.4), step=1.0)
+        assert localized(peer, truth), peer.said
+        for k, jump_s in enumerate((-3600.0, 7200.0)):
+            peer.now += jump_s
+            peer.clear()
+            truth = peer.walk(5, begin=(5.0 * k - 8.0, 1.5), step=1.0)
+            assert localized(peer, truth), peer.said
+    assert "the map in use stays" in (tmp_path / "log").read_text()
+
+
 def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """No odometry comes in: the node computes it, publishes it, and is localized by it."""
     pytest.importorskip("kiss_icp")
