@@ -128,8 +128,8 @@ def api() -> str:
     names = sorted(name for name in segloc.__all__ if not name.startswith("_"))
     sections = [f"\n::: segloc.{name}\n" for name in names]
     head = (
-        "# Python\n\nThe public names of `import segloc`. Those of `segloc.geometry`, `segloc.live`, "
-        "`segloc.robot` and `segloc.tiles` are promised, too: `help(segloc.robot)`.\n"
+        "# Python\n\nThe public names of `import segloc`. Those of `segloc.geometry`, "
+        "`segloc.live`, `segloc.robot` and `segloc.tiles` are promised, too: `help(segloc.robot)`.\n"
     )
     return head + "".join(sections)
 
