@@ -129,7 +129,8 @@ def api() -> str:
     sections = [f"\n::: segloc.{name}\n" for name in names]
     head = (
         "# Python\n\nThe public names of `import segloc`. Those of `segloc.geometry`, "
-        "`segloc.live`, `segloc.robot` and `segloc.tiles` are promised, too: `help(segloc.robot)`.\n"
+        "`segloc.live`, `segloc.robot` and `segloc.tiles` are promised, too; "
+        "`help(segloc.robot)` lists them.\n"
     )
     return head + "".join(sections)
 

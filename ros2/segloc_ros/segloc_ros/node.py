@@ -21,6 +21,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
@@ -213,10 +214,9 @@ class SeglocNode(LifecycleNode):
             reliability = ReliabilityPolicy.RELIABLE
         qos = QoSProfile(depth=settings.points_depth, reliability=reliability)
         self._cloud_types[topic] = type_name
-        if type_name == _POINT_CLOUD2:
-            heard = partial(self._on_cloud, topic)
-            return self.create_subscription(PointCloud2, topic, heard, qos)
-        heard = partial(self._on_livox, topic)
+        # Serialised: clouds that are skipped are not unpacked.
+        on_data = self._on_cloud if type_name == _POINT_CLOUD2 else self._on_livox
+        heard = partial(on_data, topic)
         return self.create_subscription(_message_type(type_name), topic, heard, qos, raw=True)
 
     def _follow_cloud_types(self, robot: Robot) -> None:
@@ -281,11 +281,15 @@ class SeglocNode(LifecycleNode):
     def _warn(self, fault: str) -> None:
         self.get_logger().warning(fault, throttle_duration_sec=5.0)
 
-    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
+    def _on_cloud(self, topic: str, data: bytes) -> None:
+        def take(robot: Robot) -> list[Reply]:
+            message = deserialize_message(data, PointCloud2)
+            stamp, frame = seconds(message.header.stamp), message.header.frame_id
+            return robot.on_cloud(message, stamp, frame, topic)
+
         self._heard_at, self._quiet = time.monotonic(), False
-        stamp, frame = seconds(message.header.stamp), message.header.frame_id
         if self.pump is not None:
-            self.pump.feed_cloud(lambda robot: robot.on_cloud(message, stamp, frame, topic))
+            self.pump.feed_cloud(take)
 
     def _on_livox(self, topic: str, data: bytes) -> None:
         self._heard_at, self._quiet = time.monotonic(), False

@@ -119,6 +119,7 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
     )
 
 
+_LATE_S = 1.0
 _ORDER = ("map", "jump", "points", "mount", "odometry", "gravity")
 _LEVELS = {
     Status.LOCALIZED: Level.OK,
@@ -145,6 +146,11 @@ def _summary(robot: Robot) -> tuple[Level, str]:
         return Level.WARN, f"{message}; {robot.map_progress}"
     if robot.map_fault:  # the map in use is older than its file
         return Level.ERROR, f"{message}; the map in use stays: {robot.map_fault}"
+    if robot.behind_s > _LATE_S:
+        return Level.WARN, (
+            f"{message}; input is processed {robot.behind_s:.1f} s late: the node lacks processor "
+            "time"
+        )
     if robot.publishers is not None and robot.publishers > 1:
         topic = robot.settings.points_topic
         return Level.WARN, f"{message}; {topic} has {robot.publishers} publishers"
@@ -197,6 +203,7 @@ def _values(robot: Robot) -> dict[str, str]:
         "points": str(robot.points),
         "intake_ms": f"{robot.intake_ms:.1f}",
         "skipped": str(robot.skipped),
+        "behind_s": f"{robot.behind_s:.1f}",
         "refused": str(robot.refused.total() + (0 if robot.core is None else robot.core.refused)),
     }
     values |= {f"refused: {reason}": str(count) for reason, count in robot.refused.items()}

@@ -65,6 +65,8 @@ class Robot:
         Clouds that were not used, by reason.
     skipped, jumps : int
         Clouds that came faster than they could be processed; jumps of the odometry.
+    behind_s : float
+        Time that the newest input other than clouds has waited [s].
     map_path, map_fault, request_fault : str
         The file of the map, why it cannot be read, and why the last one on request was not; "" if
         they were.
@@ -89,6 +91,7 @@ class Robot:
         self.fixes, self.intake_ms, self.points = 0, 0.0, 0
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
+        self.behind_s = 0.0
         self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
         self.map_progress = _READING
         self.publishers: int | None = None
