@@ -127,7 +127,12 @@ def api() -> str:
     """Return the page of public names."""
     names = sorted(name for name in segloc.__all__ if not name.startswith("_"))
     sections = [f"\n::: segloc.{name}\n" for name in names]
-    return "# Python\n\nThe public names of `import segloc`.\n" + "".join(sections)
+    head = (
+        "# Python\n\nThe public names of `import segloc`. Those of `segloc.geometry`, "
+        "`segloc.live`, `segloc.robot` and `segloc.tiles` are promised, too; "
+        "`help(segloc.robot)` lists them.\n"
+    )
+    return head + "".join(sections)
 
 
 def filled(page: str) -> str:

@@ -12,7 +12,7 @@ LAYERS = (
     "__main__",
     "cli",
     ROOT,
-    "mapping",
+    "mapping robot",
     "batch live loops export",
     "inspect doctor sample",
     "datasets",

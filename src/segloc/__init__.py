@@ -39,8 +39,8 @@ Settings and errors
     SeglocError         base of all errors: ConfigError, DatasetError, InvalidScan, LiveError,
                         MapFormatError, MapMismatch, MissingDependency, WeightsError
 
-On the command line: ``segloc --help``. Further rooms, such as ``segloc.tiles`` and
-``segloc.doctor``, are described in docs/explanation/architecture.md.
+On the command line: ``segloc --help``. ``segloc.robot`` has parts for a robot's node, and
+``segloc.tiles`` large maps; further rooms are described in docs/explanation/architecture.md.
 """
 
 from __future__ import annotations

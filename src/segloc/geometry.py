@@ -12,6 +12,18 @@ from pydantic import Field
 from .system.section import Section
 from .types import Float64, Pose
 
+__all__ = [
+    "Separation",
+    "inverse",
+    "orthonormal",
+    "rigid",
+    "ros_covariance",
+    "rotation_angle",
+    "transform",
+    "upright",
+    "yaw_transform",
+]
+
 FLAT_M = 0.005
 """Largest standard deviation of points from their plane [m]."""
 

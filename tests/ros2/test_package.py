@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 
@@ -24,6 +25,21 @@ def test_the_core_knows_no_ros(package: str) -> None:
         names = {name.split(".")[0] for name in source.imported(path, (package, "core"))}
         strange = names - ALLOWED - {package, "__future__"} - set(sys.stdlib_module_names)
         assert not strange, f"{path.name}: {strange}"
+
+
+@pytest.mark.parametrize("package", ["segloc_ros", "segloc_autoware"])
+def test_only_promised_names_of_segloc_are_imported(package: str) -> None:
+    """Those of the modules that docs/reference/guarantees.md lists, in their ``__all__``."""
+    page = (PROJECT / "docs" / "reference" / "guarantees.md").read_text("utf-8")
+    (row,) = re.findall(r"^\| names in `__all__` of (.+?) \|", page, re.MULTILINE)
+    modules = re.findall(r"`(segloc[\w.]*)`", row)
+    promised = {f"{m}.{name}" for m in modules for name in importlib.import_module(m).__all__}
+    used = set()
+    for path in (ROS2 / package).rglob("*.py"):
+        names = source.imported(path, (package, "core"))
+        used |= {name for name in names if name.split(".")[0] == "segloc"}
+    assert used - {*promised, *modules} == set()
+    assert "segloc.robot.Section" in used or package != "segloc_ros"
 
 
 def test_the_parameters_file_holds_every_default() -> None:

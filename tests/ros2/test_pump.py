@@ -90,6 +90,18 @@ def test_a_flood_of_clouds_does_not_delay_odometry(
         until(pump, lambda told: told.message == "localized")
 
 
+def test_input_that_waits_is_measured() -> None:
+    def slowly(robot: Robot) -> list[Any]:
+        time.sleep(1.2)
+        return []
+
+    with pumping("") as pump:
+        pump.feed(slowly)
+        pump.feed(lambda robot: [])
+        told = until(pump, lambda told: float(told.values["behind_s"]) > 1.0)
+        assert float(told.values["behind_s"]) < WAIT_S
+
+
 def test_a_damaged_map_is_reported_and_the_one_in_use_stays(
     localizer: Localizer, tmp_path: Path
 ) -> None:

@@ -225,7 +225,11 @@ def test_the_state_for_programs(localizer: Localizer, plaza: Plaza) -> None:
     state = robot_state(listener.robot, True)
     assert state.status is StateStatus.LOCALIZED and state.localized and state.at_rest
     assert state.confidence > 0.97 and state.reason == "" and state.map_url == "/maps/site.segmap"
-    assert state.stamp == pytest.approx(101.0)
+    assert state.stamp == pytest.approx(101.2)  # of the newest odometry
+    listener.robot.behind_s = 2.0
+    late = diagnose(listener.robot)
+    assert late.level is Level.WARN and "processed 2.0 s late" in late.message
+    listener.robot.behind_s = 0.0
     listener.cloud(101.5, np.full((9, 3), np.nan))
     state = robot_state(listener.robot, True)
     assert state.localized and "cloud refused" in state.reason

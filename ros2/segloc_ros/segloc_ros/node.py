@@ -21,6 +21,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.logging import get_logger
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
@@ -65,6 +66,19 @@ REFUSALS = (
 def one_line(error: Exception) -> str:
     """The message of an error, without line breaks."""
     return " ".join(str(error).split())
+
+
+def _message_type(name: str) -> Any:
+    """Return the class of a message type, as ``sensor_msgs/msg/PointCloud2``.
+
+    Raise ImportError if it is not installed.
+    """
+    package, _, message = name.split("/")
+    module = importlib.import_module(f"{package}.msg")
+    try:
+        return getattr(module, message)
+    except AttributeError as error:
+        raise ImportError(f"{package} has no message {message}") from error
 
 
 class SeglocNode(LifecycleNode):
@@ -194,21 +208,16 @@ class SeglocNode(LifecycleNode):
                 self._inputs.append(self.create_subscription(kind, topic, heard, qos))
 
     def _subscribe_clouds(self, settings: Settings, topic: str, type_name: str) -> Any:
-        """Subscribe to a LiDAR's topic of a type.
-
-        Raise ImportError if the type is not installed.
-        """
+        """Subscribe to a LiDAR's topic of a type that is installed."""
         reliability = ReliabilityPolicy.BEST_EFFORT
         if settings.points_reliable:
             reliability = ReliabilityPolicy.RELIABLE
         qos = QoSProfile(depth=settings.points_depth, reliability=reliability)
         self._cloud_types[topic] = type_name
-        if type_name == _POINT_CLOUD2:
-            heard = partial(self._on_cloud, topic)
-            return self.create_subscription(PointCloud2, topic, heard, qos)
-        package, _, name = type_name.split("/")
-        kind = getattr(importlib.import_module(f"{package}.msg"), name)
-        return self.create_subscription(kind, topic, partial(self._on_livox, topic), qos, raw=True)
+        # Serialised: clouds that are skipped are not unpacked.
+        on_data = self._on_cloud if type_name == _POINT_CLOUD2 else self._on_livox
+        heard = partial(on_data, topic)
+        return self.create_subscription(_message_type(type_name), topic, heard, qos, raw=True)
 
     def _follow_cloud_types(self, robot: Robot) -> None:
         """Subscribe with Livox's type to topics that have no publisher of another type."""
@@ -221,16 +230,16 @@ class SeglocNode(LifecycleNode):
                 robot.report_topic(f"{topic} is {types[0]}, not {_POINT_CLOUD2}: remap points")
                 continue
             try:
-                subscription = self._subscribe_clouds(robot.settings, topic, types[0])
+                _message_type(types[0])
             except ImportError:
-                self._cloud_types[topic] = subscribed
                 robot.report_topic(
                     f"{topic} is {types[0]}, which is not installed: source the driver's "
                     "workspace, or set its xfer_format to 0"
                 )
                 continue
+            # First, since Fast DDS refuses a second type of one topic in one process.
             self.destroy_subscription(self._inputs[k])
-            self._inputs[k] = subscription
+            self._inputs[k] = self._subscribe_clouds(robot.settings, topic, types[0])
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         for subscription in self._inputs:
@@ -272,11 +281,15 @@ class SeglocNode(LifecycleNode):
     def _warn(self, fault: str) -> None:
         self.get_logger().warning(fault, throttle_duration_sec=5.0)
 
-    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
+    def _on_cloud(self, topic: str, data: bytes) -> None:
+        def take(robot: Robot) -> list[Reply]:
+            message = deserialize_message(data, PointCloud2)
+            stamp, frame = seconds(message.header.stamp), message.header.frame_id
+            return robot.on_cloud(message, stamp, frame, topic)
+
         self._heard_at, self._quiet = time.monotonic(), False
-        stamp, frame = seconds(message.header.stamp), message.header.frame_id
         if self.pump is not None:
-            self.pump.feed_cloud(lambda robot: robot.on_cloud(message, stamp, frame, topic))
+            self.pump.feed_cloud(take)
 
     def _on_livox(self, topic: str, data: bytes) -> None:
         self._heard_at, self._quiet = time.monotonic(), False

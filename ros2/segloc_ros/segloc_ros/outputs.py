@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -87,7 +85,7 @@ class Outputs:
     def publish_state(self, robot: Robot, active: bool) -> None:
         """Publish the state of a robot if anything but its stamp has changed."""
         state, last = robot_state(robot, active), self._published
-        if last is not None and state == replace(last, stamp=state.stamp):
+        if last is not None and not state.is_news_after(last):
             return
         self._published = state
         if self._state is not None:

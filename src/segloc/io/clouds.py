@@ -26,7 +26,9 @@ from .text import COMMENTS, table_parts, text_parts
 PART = 1_000_000
 """Points that are read at a time."""
 GLIM = "points_compact.bin"
-"""The points of a submap in a dump of GLIM; ``data.txt`` beside it has its pose."""
+"""The points of a submap in a dump of GLIM."""
+POSE_OF_GLIM = "data.txt"
+"""The file beside it with its pose."""
 WHOLE = (".e57", ".npy")
 """Of files that are read whole, 24 bytes a point."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
@@ -47,6 +49,21 @@ def cloud_files(paths: Paths) -> list[Path]:
     """
     given = [paths] if isinstance(paths, str | Path) else paths
     return list(dict.fromkeys(file for path in given for file in _files(Path(path))))
+
+
+def cloud_sources(paths: Paths) -> list[Path]:
+    """List the files that a cloud is read from: :func:`cloud_files`, and poses of submaps.
+
+    Raises
+    ------
+    DatasetError
+        As :func:`cloud_files`.
+    """
+    return [
+        source
+        for file in cloud_files(paths)
+        for source in ((file, file.parent / POSE_OF_GLIM) if file.name == GLIM else (file,))
+    ]
 
 
 def _files(where: Path) -> list[Path]:
@@ -137,7 +154,7 @@ def _placed(path: Path) -> Float64 | None:
     """Return the pose of a submap in the common frame; None if it lies in that frame."""
     if path.name != GLIM:
         return None
-    words = read_file(path.parent / "data.txt").decode("utf-8", "replace").split()
+    words = read_file(path.parent / POSE_OF_GLIM).decode("utf-8", "replace").split()
     try:
         first = words.index("T_world_origin:") + 1
         return checked_pose(np.array(words[first : first + 16], float).reshape(4, 4), "pose")

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
-from ..tracking.belief import Status as Status
-from .config import LiveConfig as LiveConfig
-from .core import LiveCore as LiveCore
-from .core import State as State
-from .kept_pose import PoseKeeper as PoseKeeper
-from .lidar_odometry import LidarOdometry as LidarOdometry
-from .localizer import LiveLocalizer as LiveLocalizer
-from .replay import Replay as Replay
-from .replay import play as play
-from .replay import pose_errors as pose_errors
+from ..tracker import QueryRequest, TrackerConfig
+from ..tracking.belief import Status, View
+from .config import LiveConfig
+from .core import LiveCore, State
+from .kept_pose import PoseKeeper
+from .lidar_odometry import LidarOdometry
+from .localizer import LiveLocalizer
+from .replay import Replay, play, pose_errors
+
+__all__ = [
+    "LidarOdometry",
+    "LiveConfig",
+    "LiveCore",
+    "LiveLocalizer",
+    "PoseKeeper",
+    "QueryRequest",
+    "Replay",
+    "State",
+    "Status",
+    "TrackerConfig",
+    "View",
+    "play",
+    "pose_errors",
+]

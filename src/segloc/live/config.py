@@ -23,7 +23,9 @@ class LiveConfig(Section):
     least_m: float = Field(
         0.05, ge=0, description="minimum standard deviation of a position, metres"
     )
-    least_deg: float = Field(0.3, ge=0, description="minimum standard deviation of a rotation")
+    least_deg: float = Field(
+        0.3, ge=0, description="minimum standard deviation of an angle, degrees"
+    )
 
     odometry_s: float = Field(10.0, gt=0, description="history of odometry, seconds")
     max_gap_s: float = Field(

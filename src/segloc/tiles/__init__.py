@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 from ..system import lazy
 from .change import merge_into_tiles, update_tiles
 from .cut import cut_tiles
+from .index import INDEX
 from .localizer import TiledLocalizer, localizer_in, open_map
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
 __all__ = [
+    "INDEX",
     "TiledLocalizer",
     "TiledMap",
     "cut_tiles",
@@ -29,14 +31,12 @@ __all__ = [
 
 if TYPE_CHECKING:
     from .cut import write_tile as write_tile
-    from .index import INDEX as INDEX
     from .store import store_of as store_of
 else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
             "cut": "write_tile",
-            "index": "INDEX",
             "store": "store_of",
         },
     )

@@ -32,7 +32,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import LATCHED, MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
 from segloc_ros.core.replies import PoseReply  # noqa: E402
-from segloc_ros.messages import pose_in, pose_out, seconds, transform_in  # noqa: E402
+from segloc_ros.messages import pose_in, pose_out, seconds, time_of, transform_in  # noqa: E402
 from sensor_msgs.msg import NavSatFix  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from std_srvs.srv import Empty  # noqa: E402
@@ -150,6 +150,38 @@ def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
         node.send_signal(signal.SIGINT)
         assert node.wait(WAIT_S) == 0
     assert b"Traceback" not in log.read_bytes()
+
+
+def test_the_map_is_damaged_and_the_clock_jumps(peer: Peer, maps: Path, tmp_path: Path) -> None:
+    """The map in use stays, and diagnostics say why; stamps go back an hour, then ahead two."""
+    used, site = tmp_path / "used.segmap", (maps / "site.segmap").read_bytes()
+
+    def replace(data: bytes) -> None:
+        (tmp_path / "part").write_bytes(data)
+        (tmp_path / "part").replace(used)
+
+    replace(site)
+    peer.clear()
+    with running(NODE, tmp_path / "log", map=str(used), **PARAMETERS):
+        peer.ready()
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        truth = peer.walk(4, step=1.0)
+        assert localized(peer, truth), peer.said
+        replace(site[: len(site) // 2])
+        peer.until(lambda: "the map in use stays: no map: " in peer.said, WAIT_S)
+        assert peer.heard["diagnostics"][-1].status[0].level == b"\2"
+        used.unlink()
+        peer.until(lambda: "No such file" in peer.said, WAIT_S)
+        truth = peer.walk(2, begin=(-10.0, 1.4), step=1.0)
+        assert localized(peer, truth), peer.said
+        for k, jump_s in enumerate((-3600.0, 7200.0)):
+            peer.now += jump_s
+            peer.clear()
+            truth = peer.walk(5, begin=(5.0 * k - 8.0, 1.5), step=1.0)
+            assert localized(peer, truth), peer.said
+    assert "the map in use stays" in (tmp_path / "log").read_text()
 
 
 def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
@@ -464,6 +496,32 @@ def test_it_takes_amcls_place(peer: Peer, maps: Path, tmp_path: Path) -> None:
         peer.until(lambda: peer.heard["candidates"], WAIT_S)
         for end in ends:
             peer.destroy_subscription(end)
+
+
+def test_livox_messages_are_taken(
+    peer: Peer, maps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The node subscribes with the type that its driver publishes, whichever comes first."""
+    livox = pytest.importorskip("livox_ros_driver2.msg")
+
+    def send_cloud(stamp: float, points: Any) -> None:
+        message = livox.CustomMsg(point_num=len(points))
+        message.header.stamp, message.header.frame_id = time_of(stamp), "os_sensor"
+        message.points = [livox.CustomPoint(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        publisher.publish(message)
+
+    peer.clear()
+    options = PARAMETERS | {"points_topic": "livox/lidar"}
+    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        publisher = peer.create_publisher(livox.CustomMsg, "/livox/lidar", 5)
+        monkeypatch.setattr(peer, "send_cloud", send_cloud)
+        peer.until(publisher.get_subscription_count, WAIT_S)
+        peer.tell_mount()
+        peer.spin(1.0)
+        truth = peer.walk(4, step=0.5)
+        assert localized(peer, truth), peer.said
+        peer.destroy_publisher(publisher)
 
 
 def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from segloc import geometry
-from segloc.types import Float64, Pose
+from segloc.robot import Float64, Pose
 
 from .frames import Transform, frame_name
 from .settings import Settings

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from segloc import Prior
-from segloc.types import Float64, Pose
+from segloc.robot import Float64, Pose
 
 _REMEMBERED = 16
 _SIGMAS = 3.0

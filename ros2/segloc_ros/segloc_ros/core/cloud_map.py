@@ -7,13 +7,9 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from segloc import SeglocError, SegmentMap
-from segloc.config import Config
-from segloc.io.clouds import GLIM, cloud_files, read_cloud
-from segloc.map import DEFAULT_METHOD
-from segloc.system.files import is_cloud
-from segloc.tiles import INDEX
-from segloc.types import Float64
+from segloc import Config, DatasetError, MapFormatError, SeglocError, SegmentMap
+from segloc.robot import Float64, cloud_files, cloud_sources, is_cloud, read_cloud
+from segloc.tiles import holds_tiles
 
 Progress = Callable[[str], None]
 Note = Callable[[str], None]
@@ -27,9 +23,14 @@ def holds_cloud(path: str) -> bool:
         return False
     if not where.is_dir():
         return is_cloud(where)
-    return not (where / INDEX).exists() and any(
-        is_cloud(file) or file.name == GLIM for file in where.rglob("*")
-    )
+    try:
+        return not holds_tiles(path)
+    except MapFormatError:
+        pass
+    try:
+        return bool(cloud_files(path))
+    except DatasetError:
+        return False
 
 
 def cloud_signature(path: str) -> tuple[int, int, int]:
@@ -41,7 +42,7 @@ def cloud_signature(path: str) -> tuple[int, int, int]:
         If there is none.
     OSError
     """
-    found = [file.stat() for file in cloud_files(path)]
+    found = [file.stat() for file in cloud_sources(path)]
     return max(f.st_mtime_ns for f in found), sum(f.st_size for f in found), len(found)
 
 
@@ -86,7 +87,7 @@ def map_of_cloud(path: str, threads: int, progress: Progress, note: Note) -> Seg
     def built(done: int, total: int) -> None:
         progress(f"building the map of {name}: {10 * (10 * done // max(1, total))} %")
 
-    config = Config.preset(DEFAULT_METHOD).model_copy(update={"threads": threads})
+    config = Config.load(None).model_copy(update={"threads": threads})
     prior_map = SegmentMap.from_cloud(parts(), config, progress=built, note=note)
     prior_map.metadata["sequence"] = name
     note(_saved(prior_map, cached))
@@ -104,14 +105,12 @@ def _caches(path: Path, checksum: str) -> tuple[Path, Path]:
 def _checksum(path: str, progress: Callable[[], None]) -> str:
     """Return a checksum of the files of a cloud, and of what places them, as 16 digits."""
     digest = hashlib.blake2b(digest_size=8)
-    for file in cloud_files(path):
+    for file in cloud_sources(path):
         digest.update(f"{file.name} {file.stat().st_size} ".encode())
-        beside = [file.parent / "data.txt"] if file.name == GLIM else []
-        for each in (file, *beside):
-            with each.open("rb") as stream:
-                while part := stream.read(_PART_BYTES):
-                    digest.update(part)
-                    progress()
+        with file.open("rb") as stream:
+            while part := stream.read(_PART_BYTES):
+                digest.update(part)
+                progress()
     return digest.hexdigest()
 
 

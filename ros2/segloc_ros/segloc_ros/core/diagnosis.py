@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from segloc.live import Status
@@ -61,14 +61,14 @@ class RobotState:
     Attributes
     ----------
     stamp : float
-        Of the newest scan or odometry [s]; 0 before the first.
+        Of the newest odometry [s]; 0 before the first.
     status : StateStatus
     at_rest : bool
         Whether no queries are made: the pose, if there is one, follows the odometry.
     reason : str
         Why the status is no better; "" while localized and without a fault.
     confidence : float
-        Probability of the most probable place, in [0, 1].
+        Probability of the most probable place, in [0, 1], to two decimals.
     map_url : str
     map_to_odom : TfState
     """
@@ -86,6 +86,14 @@ class RobotState:
         """Whether there is a pose."""
         return self.status in (StateStatus.LOCALIZED, StateStatus.DEGRADED)
 
+    def is_news_after(self, last: RobotState) -> bool:
+        """Return whether the state differs from the last one published.
+
+        Another confidence alone is news by the next stamp, so that each stamp has one message.
+        """
+        confidence = last.confidence if self.stamp == last.stamp else self.confidence
+        return replace(self, confidence=confidence) != replace(last, stamp=self.stamp)
+
 
 def robot_state(robot: Robot, active: bool) -> RobotState:
     """Return the state of a robot; ``active``: whether the node takes input."""
@@ -101,16 +109,17 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
     if not active:
         status, map_to_odom, reason = StateStatus.INACTIVE, TfState.NONE, "inactive"
     return RobotState(
-        0.0 if robot.state is None else robot.state.stamp,
+        robot.stamp,
         status,
         robot.trigger.resting,
         reason,
-        0.0 if current is None else current.confidence,
+        0.0 if current is None else round(current.confidence, 2),
         robot.map_path,
         map_to_odom,
     )
 
 
+_LATE_S = 1.0
 _ORDER = ("map", "jump", "points", "mount", "odometry", "gravity")
 _LEVELS = {
     Status.LOCALIZED: Level.OK,
@@ -137,6 +146,11 @@ def _summary(robot: Robot) -> tuple[Level, str]:
         return Level.WARN, f"{message}; {robot.map_progress}"
     if robot.map_fault:  # the map in use is older than its file
         return Level.ERROR, f"{message}; the map in use stays: {robot.map_fault}"
+    if robot.behind_s > _LATE_S:
+        return Level.WARN, (
+            f"{message}; input is processed {robot.behind_s:.1f} s late: the node lacks processor "
+            "time"
+        )
     if robot.publishers is not None and robot.publishers > 1:
         topic = robot.settings.points_topic
         return Level.WARN, f"{message}; {topic} has {robot.publishers} publishers"
@@ -189,6 +203,7 @@ def _values(robot: Robot) -> dict[str, str]:
         "points": str(robot.points),
         "intake_ms": f"{robot.intake_ms:.1f}",
         "skipped": str(robot.skipped),
+        "behind_s": f"{robot.behind_s:.1f}",
         "refused": str(robot.refused.total() + (0 if robot.core is None else robot.core.refused)),
     }
     values |= {f"refused: {reason}": str(count) for reason, count in robot.refused.items()}

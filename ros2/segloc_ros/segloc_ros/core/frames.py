@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from segloc import InvalidScan
-from segloc.datasets.ros.bag_tf import frame_name as frame_name
 from segloc.geometry import rigid
-from segloc.types import Float64, Pose
+from segloc.robot import Float64, Pose
+from segloc.robot import frame_name as frame_name
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from segloc import DatasetError, Scan
-from segloc.datasets.ros.bag_messages import livox_scan
+from segloc.robot import scan_of_livox
 
 
 def is_livox(type_name: str) -> bool:
@@ -32,4 +32,4 @@ def livox_cloud(data: bytes) -> tuple[float, str, Scan]:
         frame = bytes(data[16 : 16 + length]).rstrip(b"\0").decode()
     except (struct.error, UnicodeDecodeError) as error:
         raise DatasetError(f"not a Livox message: {error}") from error
-    return sec + 1e-9 * nanosec, frame, livox_scan(bytes(data), cdr=True)
+    return sec + 1e-9 * nanosec, frame, scan_of_livox(bytes(data))

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Localizer, SeglocError, SegmentMap
-from segloc.config import map_config
+from segloc.robot import Float32, map_config
 from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
-from segloc.types import Float32
 
 from .cloud_map import Note, cloud_signature, holds_cloud, map_of_cloud
 

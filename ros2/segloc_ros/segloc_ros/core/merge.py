@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from segloc import geometry
-from segloc.motion import times_fit
-from segloc.types import Pose, Scan
+from segloc import Scan, geometry
+from segloc.robot import Pose, times_fit
 
 _MAX_WAITING, _MAX_KEPT = 4, 16
 

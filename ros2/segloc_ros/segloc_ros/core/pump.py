@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
 from segloc import Localizer, SeglocError
-from segloc.types import Pose
+from segloc.robot import Pose
 
 from .maps import MapFile
 from .replies import Reply
@@ -68,9 +69,9 @@ class Pump:
         self._watch_s = watch_s
         self._turn, self._changed = threading.Lock(), threading.Condition()
         self._arrived = threading.Condition()
-        self._events: deque[Event] = deque(maxlen=_MAX_WAITING)
+        self._events: deque[tuple[float, Event]] = deque(maxlen=_MAX_WAITING)
         self._clouds: deque[Event] = deque(maxlen=clouds)
-        self._skipped = 0
+        self._skipped, self._behind_s = 0, 0.0
         self._loads: deque[tuple[str, Pose | None, Callable[[str], None]]] = deque()
         self._load_asked = threading.Condition()
         self._closed = False
@@ -90,7 +91,7 @@ class Pump:
     def feed(self, event: Event) -> None:
         """Let an event reach the robot soon, and publish its replies; returns at once."""
         with self._arrived:
-            self._events.append(event)
+            self._events.append((time.monotonic(), event))
             self._arrived.notify()
 
     def feed_cloud(self, event: Event) -> None:
@@ -145,7 +146,7 @@ class Pump:
     def _take_in(self) -> None:
         while (event := self._next()) is not None:
             with self._entered():
-                self._robot.skipped = self._skipped
+                self._robot.skipped, self._robot.behind_s = self._skipped, self._behind_s
                 try:
                     self._publish(event(self._robot))
                 except SeglocError as error:
@@ -159,7 +160,11 @@ class Pump:
                 self._arrived.wait()
             if self._closed:
                 return None
-            return self._events.popleft() if self._events else self._clouds.popleft()
+            if not self._events:
+                return self._clouds.popleft()
+            arrived, event = self._events.popleft()
+            self._behind_s = time.monotonic() - arrived
+            return event
 
     def _make_queries(self) -> None:
         while not self._closed:

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from segloc import Localization, Scan, SeglocError, geometry
-from segloc.doctor.finding import Fault
-from segloc.doctor.scan_faults import scan_findings
-from segloc.live import LiveCore
-from segloc.pipeline import Search
-from segloc.proposals.proposer import Query
-from segloc.tracker import QueryRequest
-from segloc.tracking.belief import View
-from segloc.types import Float64, Pose
+from segloc.live import LiveCore, QueryRequest, View
+from segloc.robot import Fault, Float64, Pose, matched_segments, scan_findings
 
 from .replies import MatchesReply
 
-_AGREE_M = 2.0
 _CHECKED = 3
 _AXES = (Fault.Z_DOWN, Fault.CAMERA_AXES, Fault.TILT)
 _Z_UP = "publish odometry with z up (REP 103), or check the mount of the LiDAR"
@@ -64,8 +58,8 @@ class Answer:
     job : Job
     view : View or None
         None if it could not be made.
-    search : Search or None
-        None if nothing was searched: only the track was checked.
+    accepted : bool or None
+        Whether the best candidate is; None if nothing was searched: only the track was checked.
     times_ms : dict
         Milliseconds of each stage.
     position : (3,) float64 or None
@@ -82,7 +76,7 @@ class Answer:
 
     job: Job
     view: View | None
-    search: Search | None = None
+    accepted: bool | None = None
     times_ms: Mapping[str, float] = field(default_factory=dict)
     position: Float64 | None = None
     centroids: Float64 = field(default_factory=lambda: np.empty((0, 3)))
@@ -92,15 +86,15 @@ class Answer:
 
     def matches(self, frame: str) -> MatchesReply | None:
         """Return the matches to show; None if nothing was searched or found."""
-        if self.position is None or self.search is None:
+        if self.position is None or self.accepted is None:
             return None
-        accepted = self.search.reason is None
-        return MatchesReply(self.job.asked.stamp, frame, self.position, self.centroids, accepted)
+        stamp = self.job.asked.stamp
+        return MatchesReply(stamp, frame, self.position, self.centroids, self.accepted)
 
 
 def make(job: Job) -> Answer:
     """Make a query."""
-    found: list[tuple[Query, Search, Localization]] = []
+    found: list[tuple[Any, Any, Localization]] = []
     try:
         view = job.core.ask(job.asked, callback=lambda *all_of: found.append(all_of))
     except SeglocError as error:
@@ -108,19 +102,15 @@ def make(job: Job) -> Answer:
     if not found:
         return Answer(job, view)
     query, search, result = found[-1]
-    position, centroids = None, np.empty((0, 3))
-    if search.posterior.best is not None:
-        T = search.posterior.best.T_map_local
-        position = (T @ query.cloud.T_local_sensor)[:3, 3]
-        centroids = _agreeing(query, search)
+    position, centroids = matched_segments(query, search)
     message = "" if result.localized else result.message
     T_sensor_base = geometry.inverse(job.core.T_base_sensor)
     candidates = tuple(
         (place.T_map_sensor @ T_sensor_base, place.probability) for place in result.places
     )
     hint = _hint(job.scans) if message else ""
-    times_ms = result.times_ms
-    return Answer(job, view, search, times_ms, position, centroids, candidates, message, hint)
+    accepted, times_ms = search.reason is None, result.times_ms
+    return Answer(job, view, accepted, times_ms, position, centroids, candidates, message, hint)
 
 
 def _hint(scans: tuple[Scan, ...]) -> str:
@@ -131,13 +121,3 @@ def _hint(scans: tuple[Scan, ...]) -> str:
         if finding.wrong:
             return str(finding)
     return ""
-
-
-def _agreeing(query: Query, search: Search) -> Float64:
-    """Return the centroids of the map's segments that matches put where they are, (K, 3)."""
-    best, matches = search.posterior.best, search.matches
-    if best is None or not len(matches):
-        return np.empty((0, 3))
-    ours = geometry.transform(best.T_map_local, query.scene.segments.centroids[matches.query])
-    theirs = np.asarray(search.prior_map.centroids[matches.map], np.float64)
-    return np.unique(theirs[np.linalg.norm(ours - theirs, axis=1) < _AGREE_M], axis=0)

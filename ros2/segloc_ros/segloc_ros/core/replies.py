@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry, ros_covariance
-from segloc.types import Float64, Pose
+from segloc.robot import Float64, Pose
 
 from .frames import Transform
 

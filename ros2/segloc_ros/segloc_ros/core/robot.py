@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 
 from segloc import Localizer, Prior, Scan, SeglocError, geometry
-from segloc.batch.run import gnss_priors
-from segloc.datasets.clocks import StreamTimes
-from segloc.datasets.fixes import Fixes
-from segloc.datasets.ros.pointcloud2 import to_scan
-from segloc.io.point_times import unread_times
 from segloc.live import LidarOdometry, LiveCore, State, Status
-from segloc.map.georeference import Georeference
-from segloc.types import Float64, Pose
+from segloc.robot import (
+    Float64,
+    Pose,
+    StreamTimes,
+    prior_of_fix,
+    scan_of_pointcloud2,
+    unread_times,
+)
 
 from .body import Body, Stamped, same
 from .clicks import Click, Echoes
@@ -65,6 +66,8 @@ class Robot:
         Clouds that were not used, by reason.
     skipped, jumps : int
         Clouds that came faster than they could be processed; jumps of the odometry.
+    behind_s : float
+        Time that the newest input other than clouds has waited [s].
     map_path, map_fault, request_fault : str
         The file of the map, why it cannot be read, and why the last one on request was not; "" if
         they were.
@@ -89,6 +92,7 @@ class Robot:
         self.fixes, self.intake_ms, self.points = 0, 0.0, 0
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
+        self.behind_s = 0.0
         self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
         self.map_progress = _READING
         self.publishers: int | None = None
@@ -114,7 +118,9 @@ class Robot:
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
         self._live, self._is_update_due = settings.live, False
+        self._same_clock_s = self._live.silent_s + self._live.clock_jump_s
         self._kept: Pose | None = None  # the last T_map_odom, broadcast while the robot is lost
+        self._posed_at = -np.inf  # stamp of the last pose published
         self._told: Pose | None = None  # T_map_odom that the tracker has
         self._supposed: Pose | None = None  # T_map_odom of a map that was switched to
 
@@ -126,6 +132,11 @@ class Robot:
     def core(self) -> LiveCore | None:
         """What follows the robot; None while the map or the mount is unknown."""
         return self._core
+
+    @property
+    def stamp(self) -> float:
+        """Stamp of the newest odometry [s]; 0 before the first."""
+        return self._odometry[-1][0] if self._odometry else 0.0
 
     @property
     def cloud_age_s(self) -> float | None:
@@ -199,7 +210,7 @@ class Robot:
         ``topic``: of which LiDAR it is, if there are several.
         """
         names = [field.name for field in cloud.fields]
-        return self._on_scan(lambda: to_scan(cloud), names, stamp, frame, topic)
+        return self._on_scan(lambda: scan_of_pointcloud2(cloud), names, stamp, frame, topic)
 
     def on_livox(self, data: bytes, topic: str = "") -> list[Reply]:
         """livox_ros_driver2/CustomMsg, serialised; otherwise as :meth:`on_cloud`."""
@@ -393,22 +404,16 @@ class Robot:
             return None
         self._own.pop("fix", None)
         try:
-            georeference = Georeference.of(self._localizer.prior_map.metadata)
-            if georeference is None:
-                self._own["fix"] = "GNSS unused: build the map with --epsg and --origin"
-                return None
-            fixes = Fixes.of(self.settings.fix_topic, [(self._fix, stamp)])
-            if not len(fixes):  # the receiver has none
-                return None
-            times = np.array([stamp])
-            (prior,) = gnss_priors(fixes, georeference, times, self.settings.click_radius_m)
-            self._is_near_fix = not self._is_near_fix
-            if prior is not None:  # the whole map has a query, and a deadline, of its own
-                prior = replace(prior, anywhere=False) if self._is_near_fix else None
+            least_m = self.settings.click_radius_m
+            prior = prior_of_fix(self._localizer.prior_map, self._fix, stamp, least_m)
         except SeglocError as error:
             self._own["fix"] = f"GNSS unused: {error}"
             return None
-        return prior
+        if prior is None:  # the receiver has none
+            return None
+        # The whole map has a query, and a deadline, of its own.
+        self._is_near_fix = not self._is_near_fix
+        return replace(prior, anywhere=False) if self._is_near_fix else None
 
     @staticmethod
     def ask(job: Job) -> Answer:
@@ -419,7 +424,7 @@ class Robot:
         """Apply the answer of a query; one in a map that was replaced meanwhile is ignored."""
         if answer.job.core is not self._core:
             return []
-        if answer.search is not None:
+        if answer.accepted is not None:
             self.last = answer
         self.hint = self.hint or answer.hint
         replies = self._tell([answer.job.core.answer(answer.job.asked, answer.view)])
@@ -571,7 +576,10 @@ class Robot:
 
     def _replies_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
-        if (pose := self._published(state)) is not None:
+        # Once a stamp: a query that corrects a pose corrects that of the next cloud.
+        is_new = not 0.0 <= self._posed_at - state.stamp <= self._same_clock_s
+        if is_new and (pose := self._published(state)) is not None:
+            self._posed_at = state.stamp
             replies.append(PoseReply.of(state.stamp, self.settings.map_frame, *pose))
         if not state.localized:
             self._told = None

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
+from scipy.spatial.transform import Rotation
 
-from segloc.config import validated
-from segloc.frontend.mounting import rotation
+from segloc import Config, ConfigError
 from segloc.geometry import rigid
-from segloc.live import LiveConfig, PoseKeeper
-from segloc.system.section import Section
-from segloc.tracker import TrackerConfig
-from segloc.types import Pose
+from segloc.live import LiveConfig, PoseKeeper, TrackerConfig
+from segloc.robot import Pose, Section
 
 from .frames import frame_name
 from .merge import ScanMerger
 from .smooth import SmoothTransform
+
+
+def _as_in(
+    section: type[Section], key: str, default: Any = None, description: str | None = None
+) -> Any:
+    """Return a field with the limits of a key of segloc's configuration, by default as it is."""
+    info = section.model_fields[key]
+    limits = {name: limit for each in info.metadata for name, limit in asdict(each).items()}
+    value = info.default if default is None else default
+    return Field(value, description=description or info.description, **limits)
 
 
 class Settings(Section):
@@ -87,12 +95,8 @@ class Settings(Section):
         (), description="mount x, y, z (m), roll, pitch, yaw (rad) on base_frame; empty: by tf"
     )
 
-    least_m: float = Field(
-        0.05, ge=0, description="minimum standard deviation of a position, metres"
-    )
-    least_deg: float = Field(
-        0.3, ge=0, description="minimum standard deviation of an angle, degrees"
-    )
+    least_m: float = _as_in(LiveConfig, "least_m")
+    least_deg: float = _as_in(LiveConfig, "least_deg")
     initialpose_least_m: float = Field(
         0.25, ge=0, description="the same for a tracker: a particle filter needs room, metres"
     )
@@ -127,19 +131,19 @@ class Settings(Section):
     )
     tf_keep_s: float = Field(10.0, gt=0, description="history of tf, seconds")
 
-    query_every_m: float = Field(10.0, ge=0, description="distance between queries, metres")
-    query_every_s: float = Field(5.0, gt=0, description="maximum time between queries, seconds")
-    query_every_lost_s: float = Field(
-        1.0, gt=0, description="the same while lost or candidate, seconds"
+    query_every_m: float = _as_in(
+        TrackerConfig, "every_m", LiveConfig().tracker.every_m, "distance between queries, metres"
     )
-    deadline_ms: float = Field(
-        1000.0, gt=0, description="time after which a query tries no more candidates, ms"
+    query_every_s: float = _as_in(LiveConfig, "every_s")
+    query_every_lost_s: float = _as_in(LiveConfig, "every_lost_s")
+    deadline_ms: float = _as_in(
+        LiveConfig, "deadline_ms", 1000.0, "time after which a query tries no more candidates, ms"
     )
-    threads: int = Field(1, ge=0, le=1024, description="threads of a query; 0: all cores")
+    threads: int = _as_in(Config, "threads", 1, "threads of a query; 0: all cores")
     service_timeout_s: float = Field(
         20.0, gt=0, description="time after which ~/relocalize answers, seconds"
     )
-    silent_s: float = Field(2.0, gt=0, description="time without clouds until degraded, seconds")
+    silent_s: float = _as_in(LiveConfig, "silent_s")
 
     map_cloud_points: int = Field(
         200_000, ge=0, description="maximum number of points on ~/map_cloud; 0: not published"
@@ -175,7 +179,10 @@ class Settings(Section):
         segloc.ConfigError
             If a name is unknown or a value out of range; names it.
         """
-        return validated(cls, parameters, "parameters")
+        try:
+            return cls.model_validate(parameters)
+        except ConfigError as error:
+            raise ConfigError(f"parameters: {error}") from error
 
     @classmethod
     def declared(cls) -> Iterator[tuple[str, Any, str]]:
@@ -203,9 +210,8 @@ class Settings(Section):
         """T_base_lidar, (4, 4) float64; None without a parameter."""
         if not self.base_to_lidar:
             return None
-        x, y, z, *angles = self.base_to_lidar
-        roll, pitch, yaw = (math.degrees(angle) for angle in angles)
-        return rigid(rotation(roll, pitch, yaw), np.array([x, y, z]))
+        xyz, angles = self.base_to_lidar[:3], self.base_to_lidar[3:]
+        return rigid(Rotation.from_euler("xyz", angles).as_matrix(), np.array(xyz))
 
     @property
     def merger(self) -> ScanMerger | None:

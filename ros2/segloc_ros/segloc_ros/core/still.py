@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
-from segloc.types import Float32, Float64, Int64, Pose
+from segloc.robot import Float32, Float64, Int64, Pose
 
 _STEP_M = 1.0  # least motion of the odometry between two clouds that are compared
 _DECIDED_M, _DECIDED = 2.0, 2  # motion over which comparisons have to agree, and their number

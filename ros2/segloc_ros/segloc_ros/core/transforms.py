@@ -10,11 +10,8 @@ from enum import Enum
 
 import numpy as np
 
-from segloc import geometry
-from segloc.errors import SeglocError
-from segloc.motion import interpolated
-from segloc.system.checks import checked_pose
-from segloc.types import Pose
+from segloc import SeglocError, geometry
+from segloc.robot import Pose, checked_pose, interpolated
 
 from .frames import Transform, frame_name
 

@@ -7,8 +7,8 @@ from collections import deque
 import numpy as np
 
 from segloc import geometry
-from segloc.datasets.gravity import HALF_WINDOW_S, gravity_of
-from segloc.types import Float64, Pose
+from segloc.robot import GRAVITY_HALF_WINDOW_S as HALF_WINDOW_S
+from segloc.robot import Float64, Pose, gravity_of
 
 _MOST = 2048
 
