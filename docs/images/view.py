@@ -1,6 +1,6 @@
-"""Draw the picture of docs/how-to/debug.md: `segloc view` with a query of the sample.
+"""Draw `segloc view` with a query of the sample: on a screen and a phone, light and dark.
 
-PYTHONPATH=tests python docs/images/view.py   # writes view.png beside itself; needs the extra view
+PYTHONPATH=tests python docs/images/view.py   # writes view*.png beside itself; needs the extra view
                                               # and a Chromium
 """
 
@@ -23,7 +23,15 @@ from segloc.inspect.results import Shown, stages_of
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18
-WIDTH, HEIGHT, COLOURS = 1280, 720, 256
+COLOURS = 256
+SCREEN, PHONE = (1280, 720), (390, 720)
+PICTURES = {
+    "view.png": (SCREEN, "light"),
+    "view_dark.png": (SCREEN, "dark"),
+    "view_phone.png": (PHONE, "light"),
+    "view_phone_dark.png": (PHONE, "dark"),
+}
+"""Size of the page and theme of the reader by file."""
 SETTLE_S, DRAWN_S = 60.0, 12.0
 _CLOSE_NOTICES = "document.querySelectorAll('.mantine-Notification-closeButton')"
 _CHOOSE = """(() => {
@@ -52,10 +60,12 @@ def answered() -> tuple[SegmentMap, list[Shown]]:
     return localizer.prior_map, shown
 
 
-def picture(page: Page, address: str, query: int) -> bytes:
+def picture(page: Page, address: str, query: int, size: tuple[int, int], theme: str) -> bytes:
     """What the browser shows of a query, once it is drawn."""
-    size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
-    page.do("Emulation.setDeviceMetricsOverride", **size)
+    screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    page.do("Emulation.setDeviceMetricsOverride", **screen)
+    preference = {"name": "prefers-color-scheme", "value": theme}
+    page.do("Emulation.setEmulatedMedia", features=[preference])
     page.open(address)
     page.until("document.body.innerText.includes('0: ')", SETTLE_S)
     page.value(_CHOOSE % query)
@@ -71,17 +81,20 @@ def picture(page: Page, address: str, query: int) -> bytes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("view.png"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent)
     options = parser.parse_args()
     server = viewer.serve(*answered(), 0)
+    address = f"http://localhost:{server.get_port()}"  # the theme is in it: the page would reload
     try:
-        with TemporaryDirectory() as profile, browser(Path(profile)) as page:
-            drawn = picture(page, f"http://localhost:{server.get_port()}", QUERY)
+        for name, (size, theme) in PICTURES.items():
+            with TemporaryDirectory() as profile, browser(Path(profile)) as page:
+                page_of = f"{address}?darkMode" if theme == "dark" else address
+                drawn = picture(page, page_of, QUERY, size, theme)
+            with Image.open(io.BytesIO(drawn)) as image:  # few colours keep it small
+                few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+                few.save(options.out / name, optimize=True)
     finally:
         server.stop()
-    with Image.open(io.BytesIO(drawn)) as image:  # few colours keep it small
-        few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-        few.save(options.out, optimize=True)
 
 
 if __name__ == "__main__":

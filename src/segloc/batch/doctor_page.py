@@ -61,13 +61,14 @@ def page(recording: RecordedSequence, found: Examination, config: LocalCloudConf
     usual: list[tuple[str, bytes]] = []
     if not problems and len(scan):
         usual = [(_USUAL.format(name), _drawn(_usual(scan, config)))]
+    known = [(name, text) for name, text in facts(recording, found) if text != "-"]
     return html.document(
         recording.name,
         counted(problems, "problems") if problems else "no problems found",
         not problems,
         *sections,
         html.pictures(usual),
-        f"<h2>Facts</h2>{html.table(facts(recording, found))}",
+        f"<h2>Facts</h2>{html.table(known)}",
     )
 
 

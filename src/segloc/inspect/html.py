@@ -18,9 +18,10 @@ th { text-align: left; font-weight: 600; border-bottom: 1px solid #dde2ea }
 td, th { padding: .15em 1em .15em 0; vertical-align: top; white-space: pre-wrap;
   font-variant-numeric: tabular-nums }
 .pictures { display: grid; gap: 1em; margin: 1.2em 0;
-  grid-template-columns: repeat(auto-fill, minmax(min(380px, 100%), 1fr)) }
+  grid-template-columns: repeat(auto-fit, minmax(min(380px, 100%), 1fr)) }
 .wide { grid-template-columns: 1fr }
-figure { margin: 0 } img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
+figure { margin: 0; max-width: 640px } .wide figure { max-width: none }
+img { width: 100%; box-sizing: border-box; border: 1px solid #dde2ea }
 figcaption { font-size: .85em; color: #59637a }
 """
 

@@ -52,13 +52,14 @@ def pictures(trace: Trace) -> list[tuple[str, bytes]]:
     ]
     if trace.T_map_local is not None:
         T = trace.T_map_local
+        cross = "; a red cross is the runner-up" if len(trace.result.places) > 1 else ""
         drawn += [
             (
                 "Matches, from segments at the best pose to segments of the map; inliers are green",
                 lambda axes: _matches(axes, trace, T),
             ),
             (
-                "The best pose: the cloud on the map; a red cross is the runner-up",
+                f"The best pose: the cloud on the map{cross}",
                 lambda axes: _placed(axes, trace, T),
             ),
             (

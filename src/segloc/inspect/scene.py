@@ -150,7 +150,7 @@ class MapScene:
         if T is None:
             return
         self.arrows("sensor", "/query/sensor", [T], colour, _CHOSEN_M)
-        at = self.middle(query) + [0.0, 0.0, _ABOVE_M]
+        at = self.middle(query) + [0.0, 0.0, 2 * _ABOVE_M]  # clear of the arrow
         name = f"{query.index}: {query.outcome}"  # the panel has the rest
         self.label("sensor", "/query/label", name, at, "bottom-center")
         if query.stages is not None and query.stages.T_map_local is not None:

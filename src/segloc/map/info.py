@@ -30,7 +30,6 @@ class MapInfo(dict[str, Any]):
             *self._poses_rows(),
             ("cloud", f"{self['cloud_points']} points, one per {self['cloud_voxel_m']:g} m"),
             ("extent", f"{extent} m"),
-            ("in memory", f"{self['memory_bytes'] / 1e6:.1f} MB"),
         ]
         if CLOUD in metadata.get(SOURCE, ""):
             spacing = metadata.get("cloud_spacing_m", "unknown")
