@@ -5,7 +5,7 @@ Messages
     scan_of_livox       points of a serialised livox_ros_driver2/CustomMsg
     StreamTimes         recognise the unit of a stream's point times
     unread_times        fields that look like point times and are not read as such
-    times_fit           whether a scan's point times are those of one turn
+    times_fit           whether a scan has plausible point times
     frame_name          name of a frame, without a leading slash
     prior_of_fix        a sensor_msgs/NavSatFix as a prior in a georeferenced map
     gravity_of          gravity from accelerations; within GRAVITY_HALF_WINDOW_S of a moment
@@ -47,7 +47,7 @@ from .datasets.ros.pointcloud2 import to_scan as scan_of_pointcloud2
 from .doctor.finding import Fault, Finding
 from .doctor.scan_faults import scan_findings
 from .errors import ConfigError
-from .io.clouds import cloud_files, cloud_sources, is_cloud, read_cloud
+from .io.clouds import cloud_files, cloud_sources, read_cloud
 from .io.point_times import unread_times
 from .map.georeference import Georeference
 from .map.segment_map import SegmentMap
@@ -56,6 +56,7 @@ from .pipeline import Search
 from .prior import Prior
 from .proposals.proposer import Query
 from .system.checks import checked_pose
+from .system.files import is_cloud
 from .system.section import Section
 from .types import Float32, Float64, Int64, Pose, Scan
 

@@ -99,7 +99,7 @@ class Known(Promise):
 
     def told(self, unknown: float) -> float:
         """Return how much a view can say, in [0, 1]: less where the map knows less of it."""
-        return 1.0 - float(unknown) ** self.power
+        return float(1.0 - unknown**self.power)
 
 
 class Model(Section):
