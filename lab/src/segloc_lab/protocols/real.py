@@ -267,18 +267,21 @@ def main() -> None:
     options.add_argument("--step", type=int, default=1, help="use every STEP-th query of KITTI")
     options.add_argument("--own", action="store_true", help="leave out the maps of other places")
     options.add_argument("--maps", type=Path, help="a folder in which maps are kept")
-    options.add_argument("--out", type=Path)
+    options.add_argument("--out", type=Path, help="answers; sets that it has are not asked again")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
     mapped = sources(args.data)
     paths = {name: kitti00.poses_of(source) for name, source in mapped.items()}
     judge = Judge(_kept(mapped, config, args.maps), paths, config, not args.own)
+    if args.out and args.out.exists():
+        judge.records = json.loads(args.out.read_text("utf-8"))
+    done = {r["queries"] for r in judge.records}
     for chosen in queries(args.data, args.step):
-        if chosen.name.startswith(args.only):
+        if chosen.name.startswith(args.only) and chosen.name not in done:
             judge.run(chosen)
             report([r for r in judge.records if r["queries"] == chosen.name])
-    if args.out:
-        args.out.write_text(json.dumps(judge.records, indent=0))
+            if args.out:
+                args.out.write_text(json.dumps(judge.records, indent=0), "utf-8")
     table = Table(
         COLUMNS, rows(judge.records), note(judge.records, args.method, args.step, not args.own)
     )
