@@ -208,8 +208,8 @@ def stream_of(world: World) -> Stream:
     odometry = DRIFT.odometry(world.truths, np.random.default_rng(world.seed))
     indoors = world.kind.platform is not None
     rate_hz = INDOORS_MPS / world.kind.spacing_m if indoors else RATE_HZ
-    drive, kind = world.drive, world.kind.scene
-    return Stream(kind, world.seed, world.localizer, drive, odometry, world.truths, rate_hz=rate_hz)
+    what = world.kind.scene, world.seed, world.localizer, world.drive, odometry, world.truths
+    return Stream(*what, rate_hz=rate_hz, starts_m=np.inf)
 
 
 def record(world: World, trouble: str) -> dict[str, Any] | None:
