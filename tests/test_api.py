@@ -48,7 +48,8 @@ def test_an_answer_is_a_line(localizer: Localizer, points: Any) -> None:
     result = localizer.localize(points)
     assert result.localized
     x, y, z = result.T_map_sensor[:3, 3]
-    assert str(result).startswith(f"localized at x {x:.2f} y {y:.2f} z {z:.2f} yaw 22.9 deg (conf")
+    pose = f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw 22.9 deg"
+    assert str(result).startswith(f"localized at {pose} (confidence ")
     assert repr(result).startswith("Localized(x=") and len(repr(result)) < 150
     none = localizer.localize(1000 * points)
     assert isinstance(none, NotLocalized)

@@ -23,7 +23,7 @@ from segloc.inspect.results import Shown, stages_of
 from segloc.map.segment_map import SegmentMap
 
 QUERY = 18
-COLOURS = 256
+COLOURS = 128
 SCREEN, PHONE = (1280, 720), (390, 720)
 PICTURES = {
     "view.png": (SCREEN, "light"),
@@ -32,7 +32,7 @@ PICTURES = {
     "view_phone_dark.png": (PHONE, "dark"),
 }
 """Size of the page and theme of the reader by file."""
-SETTLE_S, DRAWN_S = 60.0, 12.0
+SETTLE_S, DRAWN_S = 170.0, 25.0  # of a busy processor without a GPU
 _CLOSE_NOTICES = "document.querySelectorAll('.mantine-Notification-closeButton')"
 _CHOOSE = """(() => {
   const field = document.querySelector("input[inputmode=numeric], input[type=text]");
@@ -91,7 +91,9 @@ def main() -> None:
                 page_of = f"{address}?darkMode" if theme == "dark" else address
                 drawn = picture(page, page_of, QUERY, size, theme)
             with Image.open(io.BytesIO(drawn)) as image:  # few colours keep it small
-                few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+                few = image.convert("RGB").quantize(
+                    COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+                )  # other methods turn the small swatches on a dark page into its larger colours
                 few.save(options.out / name, optimize=True)
     finally:
         server.stop()

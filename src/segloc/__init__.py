@@ -4,7 +4,7 @@
 >>> prior_map = SegmentMap.from_scans(scans, poses)  # doctest: +SKIP
 >>> result = Localizer(prior_map).localize(Scan(points))  # doctest: +SKIP
 >>> print(result)  # doctest: +SKIP
-localized at x 12.34 y 5.67 z 1.20 yaw 45.0 deg (confidence 0.99)
+localized at x 12.34, y 5.67, z 1.20 m, yaw 45.0 deg (confidence 0.99)
 
 Clouds and recordings
     Scan                a cloud as a sensor saw it, with its stamp, pose or gravity if known

@@ -112,6 +112,13 @@ class Reason(Explained):
         return f"{self} ({value:.{digits}f} < {least:.{digits}f})"
 
 
+def pose_text(T: Pose) -> str:
+    """Format position and heading with units."""
+    x, y, z = (float(v) for v in T[:3, 3])
+    yaw = math.degrees(geometry.heading(T))
+    return f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw {yaw:.1f} deg"
+
+
 def ambiguous_with(T_map_other: Pose) -> str:
     """Format the reason of a query that also fits another (4, 4) pose."""
     x, y = T_map_other[:2, 3]
@@ -254,12 +261,7 @@ class Localized(_Answer):
     message: Literal[""] = ""
 
     def __str__(self) -> str:
-        x, y, z = self.T_map_sensor[:3, 3]
-        yaw = math.degrees(geometry.heading(self.T_map_sensor))
-        return (
-            f"localized at x {x:.2f} y {y:.2f} z {z:.2f} yaw {yaw:.1f} deg "
-            f"(confidence {math.floor(100 * self.confidence) / 100:.2f})"
-        )
+        return f"localized at {pose_text(self.T_map_sensor)} (confidence {self.confidence:.2f})"
 
     def __repr__(self) -> str:
         x, y, z = self.T_map_sensor[:3, 3]

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..inspect import html
-from ..inspect.trace import pose_text
-from ..localization import Localization
+from ..localization import Localization, pose_text
 from ..system.text import counted, number
 from .score import Evaluation
 

@@ -189,18 +189,11 @@ def confidence_tables(trace: Trace) -> Tables:
     )
 
 
-def pose_text(T: Pose) -> str:
-    """Format position and heading with units."""
-    x, y, z = (float(v) for v in T[:3, 3])
-    yaw = math.degrees(geometry.heading(T))
-    return f"x {x:.2f}, y {y:.2f}, z {z:.2f} m, yaw {yaw:.1f} deg"
-
-
 def summarize(trace: Trace) -> str:
     """Return one line on the result, with advice if there is no pose."""
     result = trace.result
     if result.localized:
-        return f"localized at {pose_text(result.T_map_sensor)} (confidence {result.confidence:.2f})"
+        return str(result)
     assert result.reason is not None
     message, cause = result.message, result.reason.likely_cause
     if result.reason in (Reason.NOT_IN_MAP, Reason.TOO_UNCERTAIN) and trace.parts:
