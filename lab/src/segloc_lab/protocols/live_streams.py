@@ -168,9 +168,10 @@ def stream_record(stream: Stream) -> dict[str, Any]:
     steps = list(_all(stream))
     covered = _covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
-    errors = [
-        pose_error(step.state.T_map_base, T) for step, T in zip(steps, stream.truths, strict=True)
-    ]
+    # Of the time that a state is of: without new scans or odometry it is an earlier one.
+    at = [round(step.state.stamp * stream.rate_hz) for step in steps]
+    truths = stream.truths[np.clip(at, 0, len(steps) - 1)]
+    errors = [pose_error(step.state.T_map_base, T) for step, T in zip(steps, truths, strict=True)]
     off = np.array(
         [
             step.state.localized and not right(*each, stream.off_m)
@@ -180,7 +181,7 @@ def stream_record(stream: Stream) -> dict[str, Any]:
     metres = np.diff(geometry.travelled(stream.truths), prepend=0.0)
     degraded = [
         within_three_sigma(step.state, T)
-        for step, T in zip(steps, stream.truths, strict=True)
+        for step, T in zip(steps, truths, strict=True)
         if step.state.status is Status.DEGRADED
     ]
     return {
