@@ -303,8 +303,8 @@ def tables(minutes: list[Minute]) -> list[Table]:
     memory = [(m["minute"], m["mb"], m["fixes"]) for m in minutes[tenth - 1 :: tenth]]
     totals = ", ".join(f"{sum(m[name] for m in minutes)} of {name}" for name in TIMED)
     note = (
-        f"Messages: {totals}; {minutes[-1]['skipped']} clouds skipped. After the first tenth memory grows by {100 * growth(minutes):.1f} % "
-        f"(limit {100 * MAX_GROWTH:g} %)."
+        f"Messages: {totals}; {minutes[-1]['skipped']} clouds skipped. After the first tenth "
+        f"memory grows by {100 * growth(minutes):.1f} % (limit {100 * MAX_GROWTH:g} %)."
     )
     return [
         Table(LOAD_COLUMNS, rows, title="By load"),
