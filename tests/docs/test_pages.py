@@ -31,7 +31,9 @@ def test_the_tests_behind_each_guarantee_exist() -> None:
 @pytest.mark.parametrize("folder", REPORTS, ids=lambda path: path.name)
 def test_a_report_is_complete_and_names_its_command(folder: Path) -> None:
     text = (folder / "REPORT.md").read_text("utf-8")
-    assert re.search(r"^    (python -m |segloc |experiments/)", text, re.MULTILINE)
+    assert re.search(
+        r"^    (python -m |segloc |experiments/|tests/ros2/run.sh )", text, re.MULTILINE
+    )
     assert json.loads((folder / "rows.json").read_text("utf-8"))
     assert "commit" in (folder / "environment.txt").read_text("utf-8")
 

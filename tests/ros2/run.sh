@@ -2,6 +2,7 @@
 # The ROS 2 packages built by colcon and tested as installed, with ROS 2 from wheels, in build/ros.
 #
 # tests/ros2/run.sh PYTHON [ARGUMENTS of pytest]   PYTHON: 3.11, with segloc and its test tools
+# tests/ros2/run.sh PYTHON SCRIPT.py [ARGUMENTS]   run a script instead
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -51,6 +52,9 @@ export COLCON_CURRENT_PREFIX=$ws/install SEGLOC_ROS_INSTALL=$ws/install OMP_NUM_
 set +u
 . "$ws/install/local_setup.sh"
 set -u
+if [[ ${1:-} == *.py ]]; then
+  PYTHONPATH=tests${PYTHONPATH:+:$PYTHONPATH} exec "$home/bin/python" "$@"
+fi
 # Processes that find one another by a network's clock: where a busy machine is too slow for that, all
 # is tried once more.
 nodes() {

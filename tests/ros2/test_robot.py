@@ -249,6 +249,18 @@ def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza
     assert listener.robot.T_map_odom is None
 
 
+def test_a_cloud_without_odometry_has_no_pose(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.of(localizer)
+    on_tf_static(listener.robot)
+    listener.walk(plaza, 2)
+    assert listener.of_kind(PoseReply)
+    listener.clear()
+    for stamp in (103.0, 104.0, 105.0):
+        listener.cloud(stamp, plaza.scan(MOUNT, posed=False).points)
+    assert listener.robot.core is not None and listener.robot.core.dropped
+    assert not listener.of_kind(PoseReply)
+
+
 @pytest.mark.slow
 def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of(localizer)

@@ -273,7 +273,7 @@ def _drive_minute(
 
 
 LOAD_COLUMNS = (
-    "load", "minutes", "clouds", "clouds skipped", "poses", "stamped twice or late",
+    "load", "minutes", "clouds", "poses", "stamped twice or late",
     "false poses", "largest error (m)", "cloud to pose, median / 99 % / longest (ms)",
     "odometry to map -> odom, median / 99 % / longest (ms)", "share of a core",
 )  # fmt: skip
@@ -283,7 +283,6 @@ MEMORY_COLUMNS = ("after minute", "memory (MB)", "queries that moved the pose")
 def tables(minutes: list[Minute]) -> list[Table]:
     """Return a table by load, and one of the memory after each tenth."""
     rows: list[tuple[Cell, ...]] = []
-    skipped = np.diff([0, *(m["skipped"] for m in minutes)])
     for load in sorted({m["load"] for m in minutes}, key=lambda load: int(load.split()[0])):
         here = [m for m in minutes if m["load"] == load]
         rows.append(
@@ -291,7 +290,6 @@ def tables(minutes: list[Minute]) -> list[Table]:
                 load,
                 len(here),
                 sum(m["clouds"] for m in here),
-                sum(int(s) for s, m in zip(skipped, minutes, strict=True) if m["load"] == load),
                 sum(m["pose"] for m in here),
                 sum(len(m["stale"]) for m in here),
                 sum(m["false"] for m in here),
@@ -305,8 +303,8 @@ def tables(minutes: list[Minute]) -> list[Table]:
     memory = [(m["minute"], m["mb"], m["fixes"]) for m in minutes[tenth - 1 :: tenth]]
     totals = ", ".join(f"{sum(m[name] for m in minutes)} of {name}" for name in TIMED)
     note = (
-        f"Messages: {totals}. After the first tenth memory grows by {100 * growth(minutes):.1f} % "
-        f"(limit {100 * MAX_GROWTH:g} %)."
+        f"Messages: {totals}; {minutes[-1]['skipped']} clouds skipped. After the first tenth "
+        f"memory grows by {100 * growth(minutes):.1f} % (limit {100 * MAX_GROWTH:g} %)."
     )
     return [
         Table(LOAD_COLUMNS, rows, title="By load"),

@@ -595,6 +595,8 @@ class Robot:
 
     def _published(self, state: State) -> tuple[Pose, Float64 | None] | None:
         """T_map_base and covariance, consistent with map -> odom where that is smooth."""
+        if self._pose_near(state.stamp) is None:  # T_odom_base is of another time
+            return None
         T, T_odom_base = state.T_map_base, state.T_odom_base
         smooth = None if self._smooth is None else self._smooth.T_map_odom
         if T is None or T_odom_base is None or state.T_map_odom is None:
