@@ -27,8 +27,7 @@ from segloc_lab.simulation import (
 )
 from segloc_lab.simulation.drives import mapped_way
 
-from segloc import geometry
-from segloc.datasets import odometry as odometry_module
+from segloc import geometry, scan_odometry
 from segloc.datasets import open_sequence
 from segloc.datasets.inspection import inspect
 from segloc.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
@@ -184,7 +183,7 @@ def moved(*ways: float) -> list[Float64]:
 def test_odometry_that_was_lost_is_an_error(
     poses: list[Float64], fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(odometry_module, "_kiss_icp", lambda max_range_m: Fake(poses))
+    monkeypatch.setattr(scan_odometry, "_kiss_icp", lambda max_range_m: Fake(poses))
     recording = Run(len(poses))
     with pytest.raises(DatasetError, match=rf"scan \d: odometry is lost: .*{fault}"):
         lidar_odometry(recording)

@@ -76,8 +76,7 @@ def counts(root: Path) -> dict[str, int]:
 def loaded(root: Path, *names: str) -> tuple[set[Path], list[float]]:
     """Return the package's files that are loaded with some of its names, and times of import [ms].
 
-    The times are of the processor, the shortest of a few runs: of ``import segloc``, and with the
-    names.
+    The processor times are the least of a few runs: of ``import segloc``, and with the names.
     """
     # Without site: an editable install would come before the tree.
     path = os.pathsep.join([str(root / "src"), *filter(None, sys.path)])

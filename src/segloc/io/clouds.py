@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ..errors import DatasetError, InvalidScan, MissingDependency
 from ..geometry import transform
 from ..system.checks import checked_pose
-from ..system.files import CLOUD_SUFFIXES, is_cloud
+from ..system.files import CLOUD_SUFFIXES
+from ..system.files import is_cloud as is_cloud
 from ..types import Float64
 from . import pcd, ply
 from .fields import MAX_HEADER_BYTES, PointLayout, column, faults_of, one_line, require_points

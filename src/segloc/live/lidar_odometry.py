@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..datasets.odometry import ScanOdometry
 from ..errors import InvalidScan
 from ..frontend.gravity import AttitudeConfig, AttitudeEstimator
 from ..motion import times_fit
+from ..scan_odometry import ScanOdometry
 from ..system.checks import checked_pose
 from ..types import Pose, Scan
 

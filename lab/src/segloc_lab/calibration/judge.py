@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from segloc import Config, Localizer
 
-from ..parallel import in_parallel
-from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
+from ..parallel import kept_results, world_is_done
+from ..report import Cell, Table, entries, publish, reporting, wilson
 from .rows import BARE, HOME, World, errors, is_right, worlds_of
 
 Answers = list[dict[str, Any]]
@@ -135,12 +134,9 @@ def main() -> None:
     options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
     config = Config(threads=1)
-    done = {entry["world"] for entry in earlier(args.out)}
     chosen = worlds_of(args.worlds)[args.first :: args.every]
-    left = [world for world in chosen if world.name not in done]
-    found = in_parallel(partial(answers_in, config=config), left, args.workers)
-    for _, answers in track(found, "worlds", total=len(left)):
-        keep(args.out, answers)
+    work = partial(answers_in, config=config)
+    kept_results(args.out, work, chosen, world_is_done, workers=args.workers, what="worlds")
     if not args.quiet:
         every = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
         whole = {name: [a for a in run if a["made"] in WHOLE] for name, run in every.items()}

@@ -12,12 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.progress import track
-
 from segloc import Config, Localizer, Scan, SegmentMap
 
-from ..parallel import in_parallel
-from ..report import Cell, Table, earlier, entries, keep, publish, reporting, wilson
+from ..parallel import kept_results
+from ..report import Cell, Table, publish, reporting, wilson
 from ..simulation.bare_views import VIEWS, view
 
 
@@ -35,7 +33,12 @@ def answers_in(path: Path, each: int) -> dict[str, Any]:
                 {"view": name, "seed": seed, "reason": reason, "ms": ms}
                 | {"confidence": found.confidence}
             )
-    return {"map": path.stem if path.stem != "own" else path.parent.name, "answers": answers}
+    return {"map": name_of(path), "answers": answers}
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a map; that of a generated world is its folder's."""
+    return path.stem if path.stem != "own" else path.parent.name
 
 
 def table(found: list[dict[str, Any]]) -> Table:
@@ -61,12 +64,15 @@ def main() -> None:
     options.add_argument("--out", type=Path, default=Path("degenerate.jsonl"))
     options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
-    done = len(list(earlier(args.out)))
-    left = args.maps[done:]
-    found = in_parallel(partial(answers_in, each=args.each), left, args.workers)
-    for _, answers in track(found, "maps", total=len(left)):
-        keep(args.out, answers)
-    publish(args.report, "Views that fix no place", table(entries(args.out)))
+    found = kept_results(
+        args.out,
+        partial(answers_in, each=args.each),
+        args.maps,
+        lambda path, results: any(result["map"] == name_of(path) for result in results),
+        workers=args.workers,
+        what="maps",
+    )
+    publish(args.report, "Views that fix no place", table(found))
 
 
 if __name__ == "__main__":

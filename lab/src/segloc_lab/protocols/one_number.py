@@ -13,15 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from segloc import Config, Localizer
 from segloc.likelihood import log_odds, shipped_model
 from segloc.localization import Reason
 
 from ..calibration.rows import World, worlds_of
-from ..parallel import in_parallel
-from ..report import Table, earlier, entries, keep, publish, reporting
+from ..parallel import kept_results, world_is_done
+from ..report import Table, publish, reporting
 
 COLUMNS = ("kind", "searches", "accepted", "thorough", "compared", "median", "95 %", "not in map")
 NOT_IN_MAP = 0.9
@@ -83,16 +82,10 @@ def main() -> None:
     options.add_argument("--workers", type=int, default=1, help="processes")
     args = options.parse_args()
     config = Config(threads=1)
-    done = {entry["world"] for entry in earlier(args.out)}
-    left = [w for w in worlds_of(args.worlds)[:: args.every] if w.name not in done]
-    for _, found in track(
-        in_parallel(partial(compared_in, config=config), left, args.workers),
-        "worlds",
-        total=len(left),
-    ):
-        keep(args.out, found)
+    chosen, work = worlds_of(args.worlds)[:: args.every], partial(compared_in, config=config)
+    found = kept_results(args.out, work, chosen, world_is_done, workers=args.workers, what="worlds")
     cap = log_odds(1.0 - shipped_model().lapse) - 0.01  # rounding
-    publish(args.report, "Reported and thorough", table(entries(args.out), cap))
+    publish(args.report, "Reported and thorough", table(found, cap))
 
 
 if __name__ == "__main__":

@@ -20,15 +20,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.progress import track
-
 from segloc import Config, Localizer, SegmentMap
 
 from ..calibration.rows import errors, is_right
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
-from ..parallel import in_parallel
-from ..report import Cell, Table, earlier, entries, keep, publish, resumed, wilson
+from ..parallel import kept_results
+from ..report import Cell, Table, entries, publish, resumed, wilson
 
 HOME = ("own", "half")
 MIRRORED = " mirrored"
@@ -185,12 +183,15 @@ def main() -> None:
         return
     if args.worlds is None:
         options.error("pass the folder of generated worlds, or --add FILE")
-    done = [r["part"] for r in earlier(args.out)]
-    left = [part for part in parts(generated(args.worlds)) if part.key not in done]
-    found = in_parallel(searched, left, args.workers)
-    for _, record in track(found, "parts", total=len(left)):
-        keep(args.out, record)
-    report(entries(args.out), args.report)
+    found = kept_results(
+        args.out,
+        searched,
+        list(parts(generated(args.worlds))),
+        lambda part, results: any(result["part"] == part.key for result in results),
+        workers=args.workers,
+        what="parts",
+    )
+    report(found, args.report)
 
 
 if __name__ == "__main__":
