@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
 from segloc.cli.map_info import show
 from segloc.io import Trajectory, write_tum
+from segloc.likelihood import shipped_model
 from segloc.map import voxel_cloud
 from segloc.map.corridors import between_surfaces
 from segloc.map.from_cloud import ThinCloud
@@ -49,6 +50,7 @@ def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> No
     assert len(errors) >= 5
     assert max(errors) < 0.5
     assert site.metadata["source"] == "cloud"
+    assert site.has_ground and Localizer(site).likelihood.model is shipped_model()
 
 
 def test_utm_coordinates_keep_centimetres(plaza: Plaza) -> None:
@@ -128,6 +130,10 @@ def test_a_cloud_without_ground_is_mapped(capsys: pytest.CaptureFixture[str]) ->
     notes: list[str] = []
     site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, note=notes.append)
     assert len(site) and len(site.trajectory) == len(site.sensor_positions) > 1
+    assert Localizer(site).likelihood.model is shipped_model(ground=False)
+    driven = np.tile(np.eye(4), (2, 1, 1))
+    measured = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, trajectory=driven)
+    assert not measured.has_ground
     (told,) = notes
     assert "no ground: 0.0% of the area" in told and "--trajectory" in told
     assert f"{len(site.trajectory)} viewpoints lie between" in told

@@ -251,6 +251,7 @@ def load_model(path: Path) -> Model:
 
 
 @cache
-def shipped_model() -> Model:
-    """Return the shipped model."""
-    return load_model(Path(__file__).resolve().parent.parent / "weights" / "posterior.json")
+def shipped_model(*, ground: bool = True) -> Model:
+    """Return the shipped model, or that of maps without ground."""
+    name = "posterior.json" if ground else "posterior-without-ground.json"
+    return load_model(Path(__file__).resolve().parent.parent / "weights" / name)

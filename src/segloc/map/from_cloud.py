@@ -36,7 +36,7 @@ from .cloud_frame import (
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
 from .corridors import between_surfaces
-from .info import BETWEEN, CLOUD, CLOUD_FRAME, SOURCE, VIEWPOINTS
+from .info import BETWEEN, CLOUD, CLOUD_FRAME, GROUND, NO_GROUND, SOURCE, VIEWPOINTS
 from .segment_map import SegmentMap
 from .viewpoints import (
     AROUND_M,
@@ -321,15 +321,17 @@ def build_from_cloud(
     cloud = ThinCloud.of(_parts(points, check))
     _tell_contents(cloud, check, note)
     cloud, T_map_cloud, metadata = _in_map_frame(cloud, config, check, note)
+    columns = list(cloud.columns())
+    ground = Ground.of(np.concatenate([tops(column, sensor_height) for column in columns]))
+    share = len(ground.places) / sum(cells_below(column) for column in columns)
+    if share < _MIN_GROUND:
+        metadata[GROUND] = NO_GROUND
     builder, radius = _Builder(cloud, config, metadata), config.local_cloud.radius_m
     if trajectory is not None:
         poses = T_map_cloud @ _checked(trajectory)
         path = np.asarray(poses[:, :3, 3] - cloud.origin)
         builder.add_views(_from_path(cloud, path, radius, progress))
         return builder.finished(poses)
-    columns = list(cloud.columns())
-    ground = Ground.of(np.concatenate([tops(column, sensor_height) for column in columns]))
-    share = len(ground.places) / sum(cells_below(column) for column in columns)
     if share >= _MIN_GROUND:
         builder.add_views(_from_ground(cloud, ground, sensor_height, radius, progress))
         if builder.poses:

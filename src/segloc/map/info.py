@@ -14,6 +14,8 @@ CLOUD_FRAME = "T_map_cloud"
 VIEWPOINTS, LATTICE, BETWEEN = "viewpoints", "lattice", "between"
 """Key of the metadata, and its values for a cloud without ground: viewpoints on a lattice, as 0.3.0
 chose them, about which no free space is known, and viewpoints between what stands."""
+GROUND, NO_GROUND = "ground", "none"
+"""Key of the metadata, and its value for a cloud without ground."""
 _WITHOUT_GROUND = {
     LATTICE: "on a lattice, since there is no ground",
     BETWEEN: "between what stands, since there is no ground",
