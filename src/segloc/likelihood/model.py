@@ -250,8 +250,11 @@ def load_model(path: Path) -> Model:
     return model
 
 
-@cache
 def shipped_model(*, ground: bool = True) -> Model:
     """Return the shipped model, or that of maps without ground."""
-    name = "posterior.json" if ground else "posterior-without-ground.json"
+    return _shipped("posterior.json" if ground else "posterior-without-ground.json")
+
+
+@cache
+def _shipped(name: str) -> Model:
     return load_model(Path(__file__).resolve().parent.parent / "weights" / name)
