@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -53,12 +54,15 @@ class Study:
 
     def __init__(self, data: Path, work: Path) -> None:
         root = data / "utd_grand_loop"
-        self._data, self._work = data, work
-        self._cloud = np.concatenate(list(clouds.read_cloud(root / "map.laz"))).astype(np.float64)
+        self._data, self._work, self._file = data, work, root / "map.laz"
         self._scans = open_sequence(root / "scans", root / "poses_registered.tum")
         self._truths = kitti00.poses_of(self._scans)
         self._answers = work / "answers.jsonl"
         work.mkdir(parents=True, exist_ok=True)
+
+    @cached_property
+    def _cloud(self) -> Float64:
+        return np.concatenate(list(clouds.read_cloud(self._file))).astype(np.float64)
 
     @property
     def answers(self) -> list[dict[str, Any]]:
