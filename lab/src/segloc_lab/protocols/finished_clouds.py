@@ -72,7 +72,7 @@ class Study:
     def run(self, name: str) -> None:
         """Build a map and localize in it, unless done."""
         done = {each["scans"] for each in self.answers if each["map"] == name}
-        asked = (OWN, OTHERS) if name in (PLAIN, TRAJECTORY) else (OWN,)
+        asked = (OWN, OTHERS) if name == PLAIN else (OWN,)
         if done >= set(asked):
             return
         site = self._map(name)
