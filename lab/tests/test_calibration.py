@@ -16,6 +16,7 @@ from segloc_lab.calibration.posterior import (
     fit,
     fitted,
     records_of,
+    without_ground,
 )
 from segloc_lab.calibration.rows import ALIGNED, ROUGH, Rows
 from segloc_lab.calibration.worlds import (
@@ -35,8 +36,10 @@ from segloc import Config
 from segloc.likelihood import shipped_model
 
 
-def test_the_shipped_weights_are_those_of_the_kept_rows() -> None:
-    (_, found, promised), model = fitted(records_of(Rows.load(KEPT))), shipped_model()
+@pytest.mark.parametrize("ground", [True, False])
+def test_the_shipped_weights_are_those_of_the_kept_rows(ground: bool) -> None:
+    rows, model = Rows.load(KEPT), shipped_model(ground=ground)
+    _, found, promised = fitted(records_of(rows if ground else without_ground(rows)))
     assert np.allclose(found, [*(model.weights[n] for n in FEATURES), model.none], atol=0.02)
     assert np.allclose(promised["rough"].weights, model.rough.weights, atol=0.02)
     assert np.allclose(promised["aligned"].weights, model.aligned.weights, atol=0.02)

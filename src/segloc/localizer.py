@@ -12,7 +12,7 @@ from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
-from .likelihood import Likelihood, Posterior
+from .likelihood import Likelihood, Posterior, shipped_model
 from .localization import Localization
 from .map.segment_map import SegmentMap
 from .pipeline import Proposed, Search, answer
@@ -307,6 +307,7 @@ def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
         threads=config.threads,
         storeyed=is_storeyed(viewpoints - prior_map.origin),
         path=prior_map.sensor_positions,
+        model=shipped_model(ground=prior_map.has_ground),
     )
 
 

@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
 from segloc.cli.map_info import show
 from segloc.io import Trajectory, write_tum
+from segloc.likelihood import shipped_model
 from segloc.map import voxel_cloud
+from segloc.map.corridors import between_surfaces
 from segloc.map.from_cloud import ThinCloud
 from segloc.map.georeference import Georeference
 from segloc.map.viewpoints import Occluders, Sight
@@ -48,6 +50,7 @@ def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> No
     assert len(errors) >= 5
     assert max(errors) < 0.5
     assert site.metadata["source"] == "cloud"
+    assert site.has_ground and Localizer(site).likelihood.model is shipped_model()
 
 
 def test_utm_coordinates_keep_centimetres(plaza: Plaza) -> None:
@@ -103,19 +106,41 @@ def test_what_a_wall_hides_is_not_seen_and_the_wall_is_along_all_its_length() ->
     assert not sight.sees(wall + [1.5, 0, 0])[np.abs(y) < 15].any()
 
 
-def test_a_cloud_without_ground_is_seen_from_a_lattice(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_ground_viewpoints_lie_between_what_stands() -> None:
+    rng = np.random.default_rng(3)
+    s, z = rng.uniform(0, 80, 40_000), rng.uniform(0.3, 5, 40_000)
+    side = rng.choice([-7.0, 7.0], len(s))  # two walls along a street that climbs by 8 degrees
+    walls = np.column_stack([s, side, z + 0.14 * s]).astype(np.float32)
+    far = walls[:4000] + np.array([0, 60, 0], np.float32)  # seen from nowhere between
+    eyes = between_surfaces([walls, far[far[:, 1] > 60]], 1.0)
+    assert 3 <= len(eyes) <= 12
+    inside = np.abs(eyes[:, 1]) < 4
+    assert inside[:3].all() and inside.mean() > 0.7
+    height = eyes[inside, 2] - 0.14 * eyes[inside, 0]
+    assert ((height > 0.3) & (height < 2.0)).all()
+    along = np.abs(walls[:, None, 0] - eyes[inside, 0]).min(axis=1)
+    assert (np.hypot(along, 7) < 15).mean() > 0.9
+    assert not len(between_surfaces([np.zeros((50, 3), np.float32)], 1.0))
+
+
+def test_a_cloud_without_ground_is_mapped(capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(-20, 20, (30, 2))
     poles = [np.append(p, 0) + rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 4], (400, 3)) for p in xy]
     notes: list[str] = []
     site = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, note=notes.append)
-    assert len(site) and len(site.trajectory) > 1
-    assert not len(site.sensor_positions)
+    assert len(site) and len(site.trajectory) == len(site.sensor_positions) > 1
+    assert Localizer(site).likelihood.model is shipped_model(ground=False)
+    driven = np.tile(np.eye(4), (2, 1, 1))
+    measured = SegmentMap.from_cloud(np.concatenate(poles), CONFIG, trajectory=driven)
+    assert not measured.has_ground
     (told,) = notes
     assert "no ground: 0.0% of the area" in told and "--trajectory" in told
-    assert f"{len(site.trajectory)} viewpoints lie 8 m apart" in told
+    assert f"{len(site.trajectory)} viewpoints lie between" in told
     show(site, "")
-    assert f"{len(site.trajectory)} on a lattice" in capsys.readouterr().out
+    assert f"{len(site.trajectory)} between what stands" in capsys.readouterr().out
+    site.metadata["viewpoints"] = "lattice"  # of version 0.3.0: no free space is known
+    assert not len(site.sensor_positions)
 
 
 def test_what_is_no_cloud_is_refused() -> None:

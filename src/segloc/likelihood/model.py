@@ -256,7 +256,11 @@ def load_model(path: Path) -> Model:
     return model
 
 
+def shipped_model(*, ground: bool = True) -> Model:
+    """Return the shipped model, or that of maps without ground."""
+    return _shipped("posterior.json" if ground else "posterior-without-ground.json")
+
+
 @cache
-def shipped_model() -> Model:
-    """Return the shipped model."""
-    return load_model(Path(__file__).resolve().parent.parent / "weights" / "posterior.json")
+def _shipped(name: str) -> Model:
+    return load_model(Path(__file__).resolve().parent.parent / "weights" / name)

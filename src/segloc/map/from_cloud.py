@@ -2,7 +2,7 @@
 
 The segments of a view are those that a sensor could cut out there. Bare floor was looked at, so
 nothing stood on it: between a viewpoint on free ground and the surfaces around it space is free.
-About viewpoints on a lattice free space stays unknown.
+Without ground viewpoints lie between what stands.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from .cloud_frame import (
 )
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
-from .info import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS
+from .corridors import between_surfaces
+from .info import BETWEEN, CLOUD, CLOUD_FRAME, GROUND, NO_GROUND, SOURCE, VIEWPOINTS
 from .segment_map import SegmentMap
 from .viewpoints import (
     AROUND_M,
@@ -57,7 +58,6 @@ SPACING = "cloud_spacing_m"
 VOXEL_M, OCCLUDER_M = 0.1, 0.3
 """Voxels that the cloud is thinned to, and those of the surfaces that hide others [m]."""
 _COLUMN_M, _MAX_PENDING = 16.0, 4_000_000
-_LOW_PERCENT = 10.0  # of the heights in a square of the lattice
 _MARGIN_M = 10.0  # around a column whose ground is sought
 _FRAME_VIEWS, _FRAME_RADIUS_M, _FRAME_POINTS = 12, 20.0, 200
 _MIN_CHECKED = 1000  # points of which unit and steps can be told
@@ -295,7 +295,7 @@ def build_from_cloud(
         Or a :class:`segloc.Config`, which is one; by default that of the default method.
     trajectory : (V, 4, 4) array, optional
         Poses that the cloud was measured from, in its frame. By default viewpoints are chosen on
-        free ground, or on a lattice if the cloud has no ground.
+        free ground, or between what stands if the cloud has no ground.
     sensor_height : float
         Height of chosen viewpoints over the ground [m].
     check : bool
@@ -321,34 +321,35 @@ def build_from_cloud(
     cloud = ThinCloud.of(_parts(points, check))
     _tell_contents(cloud, check, note)
     cloud, T_map_cloud, metadata = _in_map_frame(cloud, config, check, note)
+    columns = list(cloud.columns())
+    ground = Ground.of(np.concatenate([tops(column, sensor_height) for column in columns]))
+    share = len(ground.places) / sum(cells_below(column) for column in columns)
+    if share < _MIN_GROUND:
+        metadata[GROUND] = NO_GROUND
     builder, radius = _Builder(cloud, config, metadata), config.local_cloud.radius_m
     if trajectory is not None:
         poses = T_map_cloud @ _checked(trajectory)
         path = np.asarray(poses[:, :3, 3] - cloud.origin)
         builder.add_views(_from_path(cloud, path, radius, progress))
         return builder.finished(poses)
-    ground = Ground.of(np.concatenate([tops(c, sensor_height) for c in cloud.columns()]))
-    builder.add_views(_from_ground(cloud, ground, sensor_height, radius, progress))
-    share = len(ground.places) / sum(cells_below(column) for column in cloud.columns())
-    if builder.poses:
-        if share < _MIN_GROUND:
-            note(_little_ground(share, len(builder.poses), "stand on it"))
-        return builder.finished(np.array(builder.poses))
-    places = _lattice(cloud)
-    kind = f"lie {SPACING_M:g} m apart, also where no sensor can be: space around them is unknown"
-    note(_little_ground(share, len(places), kind))
-    builder.add_views(_from_lattice(cloud, places, sensor_height, radius))
-    found = builder.finished(np.array(builder.poses))
-    found.metadata[VIEWPOINTS] = LATTICE
+    if share >= _MIN_GROUND:
+        builder.add_views(_from_ground(cloud, ground, sensor_height, radius, progress))
+        if builder.poses:
+            return builder.finished(np.array(builder.poses))
+    places = between_surfaces(columns, sensor_height)
+    note(_no_ground(share, len(places)))
+    builder.add_views(_from_places(cloud, places, radius, progress))
+    found = builder.finished(np.array(builder.poses).reshape(-1, 4, 4))
+    found.metadata[VIEWPOINTS] = BETWEEN
     return found
 
 
-def _little_ground(share: float, count: int, kind: str) -> str:
+def _no_ground(share: float, count: int) -> str:
     """Describe how many viewpoints of which kind there are without ground, and the remedy."""
-    viewpoints = counted(count, "viewpoints")
     return (
-        f"no ground: {share:.1%} of the area is free ground; {viewpoints} {kind}. "
-        "--trajectory with the poses that the cloud was measured from finds more"
+        f"no ground: {share:.1%} of the area is free ground; {counted(count, 'viewpoints')} lie "
+        "between walls and what else stands. --trajectory with the poses that the cloud was "
+        "measured from finds more"
     )
 
 
@@ -479,10 +480,17 @@ def _from_path(
 ) -> Iterator[Seen]:
     """Stations of a trajectory."""
     stations = geometry.stations(geometry.arc_length(path), SPACING_M)
-    for done, eye in enumerate(path[stations]):
+    return _from_places(cloud, path[stations], radius, progress)
+
+
+def _from_places(
+    cloud: ThinCloud, places: Float64, radius: float, progress: Progress | None
+) -> Iterator[Seen]:
+    """Viewpoints at known places."""
+    for done, eye in enumerate(places):
         yield cloud.seen_from(eye, radius)
         if progress:
-            progress(done + 1, len(stations))
+            progress(done + 1, len(places))
 
 
 def _from_ground(
@@ -504,19 +512,3 @@ def _from_ground(
             yield eye, points[sight.sees(points)]
         if progress:
             progress(total - uncovered.left, total)
-
-
-def _lattice(cloud: ThinCloud) -> Float64:
-    """Return the middle of each square of a lattice with points, (V, 2)."""
-    cells = [np.unique(np.floor(c[:, :2] / SPACING_M), axis=0) for c in cloud.columns()]
-    middles: Float64 = (np.unique(np.concatenate(cells), axis=0) + 0.5) * SPACING_M
-    return middles
-
-
-def _from_lattice(
-    cloud: ThinCloud, places: Float64, sensor_height: float, radius: float
-) -> Iterator[Seen]:
-    """Viewpoints over the lowest points of each square of the lattice."""
-    for xy in places:
-        low = np.percentile(cloud.near(xy, SPACING_M)[:, 2], _LOW_PERCENT)
-        yield cloud.seen_from(np.append(xy, low + sensor_height), radius)

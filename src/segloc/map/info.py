@@ -11,9 +11,16 @@ SOURCE, CLOUD = "source", "cloud"
 """Key of the metadata, and its value for maps of one finished cloud."""
 CLOUD_FRAME = "T_map_cloud"
 """Key of the metadata: transform from the frame of a finished cloud that was levelled."""
-VIEWPOINTS, LATTICE = "viewpoints", "lattice"
-"""Key of the metadata, and its value where the trajectory holds viewpoints about which no free
-space is known."""
+VIEWPOINTS, LATTICE, BETWEEN = "viewpoints", "lattice", "between"
+"""Key of the metadata, and its values for a cloud without ground: viewpoints on a lattice, as 0.3.0
+chose them, about which no free space is known, and viewpoints between what stands."""
+GROUND, NO_GROUND = "ground", "none"
+"""Key of the metadata, and its value for a cloud without ground."""
+_WITHOUT_GROUND = {
+    LATTICE: "on a lattice, since there is no ground",
+    BETWEEN: "between what stands, since there is no ground",
+}
+_GROUND = "on free ground"
 _MAX_TEXT = 200
 
 
@@ -46,8 +53,8 @@ class MapInfo(dict[str, Any]):
         driven, sessions = self["poses"] - chosen, counted(self["sessions"], "sessions")
         rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
         if chosen:
-            lattice = LATTICE in self["metadata"].get(VIEWPOINTS, "")
-            where = "on a lattice, since there is no ground" if lattice else "on free ground"
+            kind = self["metadata"].get(VIEWPOINTS, "")
+            where = next((text for key, text in _WITHOUT_GROUND.items() if key in kind), _GROUND)
             rows.append(("viewpoints", f"{chosen} {where}"))
         return rows
 

@@ -19,7 +19,16 @@ from ..types import Descriptors, Float32, Float64, Pose, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
-from .info import CLOUD, CLOUD_FRAME, LATTICE, SOURCE, VIEWPOINTS, MapInfo
+from .info import (
+    CLOUD,
+    CLOUD_FRAME,
+    GROUND,
+    LATTICE,
+    NO_GROUND,
+    SOURCE,
+    VIEWPOINTS,
+    MapInfo,
+)
 from .merge import union_of_clouds, union_of_rows, union_of_segments, union_of_texts
 from .voxel_cloud import VoxelCloud
 
@@ -283,6 +292,11 @@ class SegmentMap:
         lattice = LATTICE in self.metadata.get(VIEWPOINTS, "")
         positions: Float64 = self.trajectory[: 0 if lattice else None, :3, 3]
         return positions
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether the map has ground, with which that of queries can be compared."""
+        return NO_GROUND not in self.metadata.get(GROUND, "")
 
     @property
     def is_driven(self) -> NDArray[np.bool_]:

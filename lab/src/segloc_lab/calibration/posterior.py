@@ -10,6 +10,8 @@ worlds.
 
     python -m segloc_lab.calibration.posterior --out src/segloc/weights/posterior.json \
         --figure docs/images/reliability.svg
+    python -m segloc_lab.calibration.posterior --without-ground \
+        --out src/segloc/weights/posterior-without-ground.json
 """
 
 from __future__ import annotations
@@ -128,6 +130,13 @@ class Records:
         most = self.right.shape[1]
         first: Int64 = self.right.argmax(axis=1)
         return np.where(self.right.any(axis=1), first, most)
+
+
+def without_ground(rows: Rows) -> Rows:
+    """Drop what ground says, as in maps without any."""
+    fits = rows.fits.copy()
+    fits[:, [_COLUMN["ground"], _COLUMN["ground_of"]]] = 0.0
+    return replace(rows, fits=fits)
 
 
 def records_of(rows: Rows) -> Records:
@@ -435,6 +444,9 @@ def main() -> None:
     options = reporting(__doc__)
     options.add_argument("rows", type=Path, nargs="*", default=[KEPT], help="files of rows")
     options.add_argument("--join", type=Path, help="file to keep all rows in")
+    options.add_argument(
+        "--without-ground", action="store_true", help="drop all ground, as in maps without any"
+    )
     options.add_argument("--figure", type=Path, help="SVG of the reliability")
     options.add_argument("--out", type=Path, help="file of the model whose weights are replaced")
     args = options.parse_args()
@@ -442,6 +454,8 @@ def main() -> None:
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
+    if args.without_ground:
+        rows = without_ground(rows)
     records, weights, promised = fitted(records_of(rows))
     decisions = held_out(records, folds(records))
     apart = told_apart(records)
