@@ -196,6 +196,15 @@ def test_a_pose_is_corrected_as_far_as_measurement_and_odometry_allow() -> None:
     assert robot.drives(2.0, (turned, FITS)).is_at(turned)  # and another
 
 
+def test_height_follows_the_map_where_planar_odometry_climbs_stairs() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(10.0, (HERE, FITS))
+    for climbed in np.arange(1, 8) * 0.6:
+        there = geometry.rigid(HERE[:3, :3], HERE[:3, 3] + [0.0, 0.0, climbed])
+        robot.drives(STEP_M, (there, FITS))
+        track = robot.belief.track
+        assert track is not None and abs(track.T_map_odom[2, 3] - there[2, 3]) < 0.1
+
+
 def test_hypotheses_that_meet_are_one() -> None:
     beside = geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)) @ HERE
     robot = Robot().searches((HERE, 6.0), (beside, 6.0))

@@ -52,6 +52,9 @@ class BeliefConfig(Section):
         ge=0,
         description="tilt error of odometry, as of a planar one on ramps [deg/m]",
     )
+    drift_up: float = Field(
+        0.3, ge=0, description="height error of odometry, as of a planar one on stairs [m/m]"
+    )
     leak: float = Field(
         0.004, gt=0, description="probability to leave the track, kidnapped or slipping [1/m]"
     )
@@ -268,16 +271,10 @@ class Belief:
         if h.covariance is None:
             return None
         path, config = max(0.0, self.travelled - h.at), self.config
-        tilt, turn, shift = (
-            path * drift
-            for drift in (
-                math.radians(config.drift_tilt_deg),
-                math.radians(config.drift_deg),
-                config.drift,
-            )
-        )
+        tilt, turn = math.radians(config.drift_tilt_deg), math.radians(config.drift_deg)
+        drift = tilt, tilt, turn, config.drift, config.drift, config.drift_up
         R = np.kron(np.eye(2), T_odom_sensor[:3, :3])  # from the sensor's axes to the odometry's
-        grown = R.T @ np.diag(np.square([tilt, tilt, turn, shift, shift, shift])) @ R
+        grown = R.T @ np.diag(np.square(path * np.array(drift))) @ R
         T_now_then = geometry.inverse(T_odom_sensor) @ h.T_odom_sensor
         predicted: Float64 = geometry.carried_covariance(h.covariance, T_now_then) + grown
         return predicted
