@@ -253,7 +253,8 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
             for key in ("scans", "covered", "localized", "false_m", "degraded_false_m")
         }
         degraded, within = (sum(r[key] for r in here) for key in ("degraded", "degraded_within"))
-        fixes = [fix for r in here for fix in (*r["first_fix"], *([r["back_m"]] * ("back_m" in r)))]
+        fixes = [fix for r in here for fix in r["first_fix"]]
+        fixes += [r["back_m"] for r in here if "back_m" in r]
         ms = sum(sum(r["scan_ms"]) + sum(r["query_ms"]) for r in here)
         rows.append(
             (
