@@ -409,7 +409,21 @@ def _server(port: int) -> Any:
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(BLUE))
     server.scene.set_up_direction("+z")
     opened = server.initial_camera
-    server.on_client_connect(lambda new: _look(new.camera, (opened.position, opened.look_at)))
+
+    def meet(client: Any) -> None:
+        """Point the camera of a new page, and again when the page turns out to be upright."""
+        camera, looked = client.camera, None
+
+        def look(_: Any) -> None:
+            nonlocal looked
+            if (is_upright := camera.aspect < 1.0) is not looked:
+                looked = is_upright
+                _look(camera, (opened.position, opened.look_at))
+
+        look(None)
+        camera.on_update(look)
+
+    server.on_client_connect(meet)
     with suppress(ImportError, AttributeError):  # not in all of its versions
         from viser._messages import RunJavascriptMessage
 
