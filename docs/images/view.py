@@ -67,7 +67,7 @@ def picture(page: Page, address: str, query: int, size: tuple[int, int], theme: 
     preference = {"name": "prefers-color-scheme", "value": theme}
     page.do("Emulation.setEmulatedMedia", features=[preference])
     page.open(address)
-    page.until("document.body.innerText.includes('0: ')", SETTLE_S)
+    page.until(r"/\d: (localized|refused)/.test(document.body.innerText)", SETTLE_S)
     page.value(_CHOOSE % query)
     if not page.until(f"document.body.innerText.includes('{query}: ')", SETTLE_S):
         raise SystemExit(f"query {query} is not shown")
