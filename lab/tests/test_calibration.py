@@ -55,7 +55,7 @@ def test_what_a_view_says_of_a_known_pose_is_fitted_to_the_kept_rows() -> None:
     for count, right, wrong in ((1, 0.9, 0.15), (3, 0.9, 0.15)):
         runs = views.together(count)
         runs = runs[views.seen[runs[:, 0]] == known.WHOLE]
-        told, alike = 1.0 - views.unknown[runs] ** shipped.power, shipped.alike(known.STEP_M)
+        told, alike = views.told(shipped)[runs], shipped.alike(known.STEP_M)
         sums, label = known.said_together(said[runs], told, alike), views.right[runs[:, 0]]
         assert (sums[label] > 0.0).mean() > right and (sums[~label] > 0.0).mean() < wrong
 

@@ -255,4 +255,16 @@ def running(
         process.wait(60)
 
 
-__all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "running"]
+def processor_s(pid: int) -> float:
+    """User and system seconds of a process (proc(5))."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process, megabytes."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+__all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "processor_s", "resident_mb", "running"]

@@ -31,7 +31,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from samples.plaza import Plaza, RingSequence
 from samples.ros_drive import BASE, LIDAR, MOUNT, ODOM
-from samples.ros_peer import running
+from samples.ros_peer import processor_s, resident_mb, running
 from samples.streams import T_MAP_ODOM
 from segloc_lab.report import Cell, Table, entries, keep, publish, resumed
 from segloc_msgs.msg import State
@@ -200,18 +200,6 @@ class Robot(Node):
 def key_of(stamp: float) -> int:
     """Milliseconds, which tell messages apart."""
     return round(1e3 * stamp)
-
-
-def processor_s(pid: int) -> float:
-    """User and system seconds of a process (proc(5))."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def resident_mb(pid: int) -> float:
-    """Resident memory of a process, megabytes."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def stream(minutes: int, minute_s: float, out: Path, work: Path) -> None:

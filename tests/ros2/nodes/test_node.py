@@ -30,7 +30,15 @@ pytest.importorskip("tf2_msgs")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from samples.ros_peer import LATCHED, MOUNT, T_MAP_ODOM, Peer, running  # noqa: E402
+from samples.ros_peer import (  # noqa: E402
+    LATCHED,
+    MOUNT,
+    T_MAP_ODOM,
+    Peer,
+    processor_s,
+    resident_mb,
+    running,
+)
 from segloc_ros.core.replies import PoseReply  # noqa: E402
 from segloc_ros.messages import pose_in, pose_out, seconds, time_of, transform_in  # noqa: E402
 from sensor_msgs.msg import NavSatFix  # noqa: E402
@@ -622,17 +630,6 @@ def test_what_it_costs(peer: Peer, maps: Path, plaza: Plaza, tmp_path: Path, tri
     print(f"\n{trigger}: {scans} clouds of {size:.1f} MB, {ms:.0f} ms of a core each, ", end="")
     print(f"{peer.values['intake_ms']} ms to take one in, {resident:.0f} MB resident")
     assert scans >= 5 and ms < 1000
-
-
-def processor_s(pid: int) -> float:
-    """User and system seconds of a process (proc(5))."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def resident_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_a_peer_that_shares_nothing_with_it_is_understood(maps: Path, tmp_path: Path) -> None:

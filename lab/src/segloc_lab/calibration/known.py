@@ -187,6 +187,10 @@ class Views:
         rows = zip(self.features.tolist(), self.unknown.tolist(), strict=True)
         return np.array([known.evidence(features, unknown) for features, unknown in rows])
 
+    def told(self, known: Known) -> Float64:
+        """Compute how much each view can say, (N,)."""
+        return np.array([known.told(unknown) for unknown in self.unknown.tolist()])
+
 
 def said_together(said: Float64, told: Float64, alike: float) -> Float64:
     """Add up what views say in succession, (M, count), as a tracker does, (M,)."""
@@ -239,7 +243,7 @@ def held_out(views: Views) -> Float64:
 
 def table(views: Views, said: Float64, known: Known) -> Table:
     """Show what views say together at right and at wrong poses, by kind and way of seeing."""
-    kinds, told = np.array(views.kinds)[views.world], 1.0 - views.unknown**known.power
+    kinds, told = np.array(views.kinds)[views.world], views.told(known)
     parts = {name: (kinds == name) & (views.seen == WHOLE) for name in dict.fromkeys(views.kinds)}
     ways = {"whole views": WHOLE, "narrow views": NARROW, "crowded": CROWDED}
     parts |= {name: views.seen == way for name, way in ways.items()}

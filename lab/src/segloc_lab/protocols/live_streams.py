@@ -166,7 +166,7 @@ def right(metres: float, degrees: float, off_m: float) -> bool:
 def stream_record(stream: Stream) -> dict[str, Any]:
     """Localize along a stream, and restart along it."""
     steps = list(_all(stream))
-    covered = _covered(stream)
+    covered = is_covered(stream)
     sure = np.array([step.state.status is Status.LOCALIZED for step in steps])
     # Of the time that a state is of: without new scans or odometry it is an earlier one.
     at = [round(step.state.stamp * stream.rate_hz) for step in steps]
@@ -230,7 +230,8 @@ def _along(stream: Stream, positions: range) -> Iterator[Step]:
         yield followed(core, scan, i / stream.rate_hz, stream.odometry[i])
 
 
-def _covered(stream: Stream) -> np.ndarray:
+def is_covered(stream: Stream) -> np.ndarray:
+    """Return which scans are near the mapped path, (N,)."""
     path = stream.localizer.prior_map.trajectory
     return np.asarray(distances_to_path(stream.truths, path) <= COVERAGE_RADIUS_M)
 

@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 
 from segloc import Scan, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.types import Derived, Float64, Int64, Recording
 
 from ..calibration.known import crowded
 from ..peers.loops import chained
 from ..report import Cell, Table, earlier, entries, keep, publish, resumed
 from .kidnapping import ALIKE_KINDS, DRIFT, Carried, World
-from .live_streams import RATE_HZ, Message, Stream, spread, stream_record
+from .live_streams import RATE_HZ, Message, Stream, is_covered, spread, stream_record
 
 INDOORS_MPS = 1.0
 """Robots outdoors have ten scans a second instead."""
@@ -161,7 +160,7 @@ def crowd(stream: Stream) -> Stream:
 
 def out_and_back(stream: Stream) -> Stream | None:
     """Leave the map by 30 m and come back the same way; None if the drive does not leave it."""
-    outside = _outside(stream)
+    outside = ~is_covered(stream)
     travelled = geometry.travelled(stream.truths)
     for leaves in np.flatnonzero(~outside[:-1] & outside[1:]):
         first, last = np.searchsorted(travelled, travelled[leaves] + np.array([-OUT_M, OUT_M]))
@@ -170,11 +169,6 @@ def out_and_back(stream: Stream) -> Stream | None:
             there = np.arange(first, last)
             return _at(stream, np.concatenate([there, there[-2::-1]]))
     return None
-
-
-def _outside(stream: Stream) -> np.ndarray:
-    path = stream.localizer.prior_map.trajectory
-    return np.asarray(distances_to_path(stream.truths, path) > COVERAGE_RADIUS_M)
 
 
 def _at(stream: Stream, positions: Int64) -> Stream:
@@ -225,7 +219,7 @@ def record(world: World, trouble: str) -> dict[str, Any] | None:
 
 def _back_m(stream: Stream, localized: Sequence[int]) -> float | None:
     """Metres from the end of the map until localized again, on the way back."""
-    returns = int(np.flatnonzero(_outside(stream))[-1]) + 1
+    returns = int(np.flatnonzero(~is_covered(stream))[-1]) + 1
     travelled = geometry.travelled(stream.truths)
     again = next((i for i in localized if i >= returns), None)
     return None if again is None else round(float(travelled[again] - travelled[returns]), 1)
