@@ -88,7 +88,7 @@ class Known(Promise):
     alike_m: float = Field(gt=0, description="way over which what views say decays to 1/e [m]")
 
     def alike(self, metres: float) -> float:
-        """Return how much of what a view says was said by one so many metres before, in [0, 1]."""
+        """Return how alike the evidence of two views so many metres apart is, in [0, 1]."""
         return math.exp(-metres / self.alike_m)
 
     def evidence(self, features: Sequence[float], unknown: float) -> float:

@@ -148,7 +148,7 @@ class Belief:
     separation : Separation
         Of distinct places.
     alike : callable
-        Returns how much of what a view says was said by one so many metres before.
+        Returns how alike the evidence of two views so many metres apart is, in [0, 1].
 
     Attributes
     ----------
