@@ -18,8 +18,8 @@ from ..localization import Explained
 from ..localizer import Localizer
 from ..motion import Motion, at_stamp
 from ..system.checks import checked_pose
-from ..tracker import QueryCallback, QueryRequest, Tracker
-from ..tracking.belief import Status, View
+from ..tracker import QueryRequest, Tracker
+from ..tracking.belief import Status
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 from .kept_pose import PoseKeeper
@@ -127,7 +127,7 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
-        self._keeper = keeper
+        self.keeper = keeper
         if keeper is not None:
             keeper.use(localizer.prior_map)
         self._lidar_odometry: LidarOdometry | None = None
@@ -213,32 +213,37 @@ class LiveCore:
         request, self._due = self._due, None
         self._open = self._open or request is not None
         T_odom_base = self.state.T_odom_base
-        if request is None or self._keeper is None or T_odom_base is None:
+        if request is None or self.keeper is None or T_odom_base is None:
             return request
-        near = self._keeper.near(request.stamp, T_odom_base, self.T_base_sensor)
+        near = self.keeper.near(request.stamp, T_odom_base, self.T_base_sensor)
         return replace(request, near=near)
 
-    def ask(self, request: QueryRequest, *, callback: QueryCallback | None = None) -> View:
-        """Make a query, as :meth:`segloc.Tracker.ask` does; thread-safe.
+    def ask(self, request: QueryRequest) -> QueryRequest:
+        """Make a query, as :meth:`segloc.tracker.Tracker.ask` does; thread-safe.
 
         Raises
         ------
         SeglocError
             If it cannot be made.
         """
-        return self.tracker.ask(request, self.config.deadline_ms, callback=callback)
+        return self.tracker.ask(request, self.config.deadline_ms)
 
-    def answer(self, request: QueryRequest, view: View | None) -> State:
-        """Apply the result of a query; None if it could not be made."""
+    def answer(self, request: QueryRequest, made: QueryRequest | None) -> State:
+        """Apply a query that was made; None if it could not be."""
         self._open = False
-        if view is not None:
-            self.tracker.take(request, view)
+        if made is not None:
+            self.tracker.take(made)
         return self._report(self.state.stamp, answered=request.stamp)
+
+    def hurry(self) -> None:
+        """Make a query due at the next scan, whatever time and distance."""
+        self._asked_at = -math.inf
 
     def forget(self) -> State:
         """Forget the pose but keep the scans; the next scan triggers a query."""
         self.tracker.forget()
-        self._asked_at, self._due = -math.inf, None
+        self._due = None
+        self.hurry()
         return self._report(self.state.stamp)
 
     def report_lost_motion(self, why: str) -> State:
@@ -361,9 +366,9 @@ class LiveCore:
             answered,
         )
         T_map_base = self.state.T_map_base
-        if self._keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
+        if self.keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
             assert T_odom_base is not None
-            self._keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
+            self.keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
 
     def _last_pose(self) -> Pose | None:
