@@ -103,9 +103,11 @@ class Outputs:
         for note in localizer.notes:
             self._node.get_logger().warning(note)
 
-    def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
-        """Publish state and diagnosis, serve late trackers; return a diagnosis that is new."""
-        told = self._diagnosis(robot, active)
+    def look_after(self, robot: Robot, active: bool) -> None:
+        """Publish state and diagnosis, log a diagnosis that is new, and serve late trackers."""
+        told = diagnose(robot)
+        if not active:
+            told = Diagnosis(Level.STALE, "inactive", told.values)
         self.publish_state(robot, active)
         if self._tracker is not None:
             if robot.T_map_odom is None:
@@ -115,10 +117,10 @@ class Outputs:
         stamp = self._node.get_clock().now().to_msg()
         name = f"{self._node.get_name()}: localization"
         self._diagnostics.publish(diagnostics_out(told, name, stamp))
-        if told.message == self._said:
-            return None
-        self._said = told.message
-        return told
+        if told.message != self._said:
+            self._said, logger = told.message, self._node.get_logger()
+            logs = {Level.OK: logger.info, Level.ERROR: logger.error}
+            logs.get(told.level, logger.warning)(told.message)
 
     def summary(self, robot: Robot) -> str:
         """Return the state in one line."""
@@ -133,8 +135,3 @@ class Outputs:
                 self._node.destroy_publisher(publisher)
         if self._tracker is not None:
             self._tracker.close()
-
-    @staticmethod
-    def _diagnosis(robot: Robot, active: bool) -> Diagnosis:
-        told = diagnose(robot)
-        return told if active else Diagnosis(Level.STALE, "inactive", told.values)

@@ -10,9 +10,10 @@ from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .localizer import LiveLocalizer
 from .replay import Replay, play, pose_errors
-from .shell import Shell
+from .shell import Ended, Shell
 
 __all__ = [
+    "Ended",
     "LidarOdometry",
     "LiveConfig",
     "LiveCore",

@@ -108,6 +108,8 @@ class LiveCore:
         Scans that were late, or without odometry.
     refused, jumps : int
         Unusable scans; jumps of the odometry.
+    skipped, behind_s : int, float
+        Scans that came too fast, and delay of other inputs [s], in a :class:`Shell`.
     """
 
     def __init__(
@@ -133,7 +135,8 @@ class LiveCore:
         self._lidar_odometry: LidarOdometry | None = None
         if lidar_odometry:
             self._lidar_odometry = LidarOdometry(self.T_base_sensor, self._local_cloud.attitude)
-        self.scans = self.dropped = self.refused = self.jumps = 0
+        self.scans = self.dropped = self.refused = self.jumps = self.skipped = 0
+        self.behind_s = 0.0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
         self._newest = -math.inf  # stamp of the newest scan received

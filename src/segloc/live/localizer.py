@@ -88,7 +88,7 @@ class LiveLocalizer(Shell[LiveCore]):
         """
         scan = scan if isinstance(scan, Scan) else Scan(scan)
         time_s = known_stamp(scan.stamp if stamp is None else stamp)
-        with self._changed:
+        with self._lock:
             self._arrived[time_s] = time.perf_counter()
             if len(self._arrived) > _MAX_ARRIVALS:
                 self._arrived.pop(next(iter(self._arrived)))
@@ -126,7 +126,7 @@ class LiveLocalizer(Shell[LiveCore]):
     @property
     def dropped(self) -> int:
         """Number of scans dropped: late, without odometry, or too many."""
-        return self._core.dropped + self.skipped
+        return self._core.dropped + self._core.skipped
 
     def close(self) -> None:
         """End the threads after their current work; drop waiting input.

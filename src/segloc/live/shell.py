@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Generic, Protocol, TypeVar
 
 from ..errors import LiveError, SeglocError
@@ -20,6 +20,10 @@ class Core(Protocol):
     """What follows a robot, one call at a time; only ``ask`` is called beside others."""
 
     keeper: PoseKeeper | None
+    skipped: int
+    """Scans that came faster than they could be processed."""
+    behind_s: float
+    """Time that the newest input other than scans has waited [s]."""
 
     def due(self) -> QueryRequest | None: ...
     def ask(self, request: QueryRequest) -> QueryRequest: ...
@@ -56,10 +60,6 @@ class Shell(Generic[C]):
 
     Attributes
     ----------
-    skipped : int
-        Scans that came faster than they could be processed.
-    behind_s : float
-        Time that the newest input other than scans has waited [s].
     error : BaseException or None
         What ended the threads.
     closed : bool
@@ -74,12 +74,12 @@ class Shell(Generic[C]):
         wait_s: float = 1.0,
     ) -> None:
         self._core, self._publish, self._on_fault = core, publish, on_fault
-        self._turn, self._held = threading.Lock(), threading.Lock()
-        self._changed = threading.Condition()
+        self._turn, self._held, self._lock = (threading.Lock() for _ in range(3))
+        self._idle = threading.Condition(self._lock)
+        self._wakers: dict[str, threading.Condition] = {}
         self._inputs: deque[tuple[float, Callable[[C], Any]]] = deque(maxlen=_MAX_WAITING)
         self._scans: deque[Callable[[C], Any]] = deque(maxlen=scans)
         self._wait_s, self._may_be_due, self._busy = wait_s, False, 0
-        self.skipped, self.behind_s = 0, 0.0
         self.closed = False
         self.error: BaseException | None = None
         self._threads: list[threading.Thread] = []
@@ -95,15 +95,15 @@ class Shell(Generic[C]):
             If a thread has failed, or this is closed.
         """
         self.check()
-        with self._changed:
+        with self._lock:
             if self.closed:
                 raise LiveError("live localization was closed")
             if is_scan:
-                self.skipped += len(self._scans) == self._scans.maxlen
+                self._core.skipped += len(self._scans) == self._scans.maxlen
                 self._scans.append(call)
             else:
                 self._inputs.append((time.monotonic(), call))
-            self._changed.notify_all()
+            self._wakers["intake"].notify()
 
     def read(self, call: Callable[[C], T]) -> T:
         """Read from the core, or change it without an output."""
@@ -112,8 +112,8 @@ class Shell(Generic[C]):
 
     def flush(self, timeout: float | None = None) -> bool:
         """Wait until all input is processed; return False after the timeout."""
-        with self._changed:
-            done = self._changed.wait_for(lambda: self.closed or self._is_idle(), timeout)
+        with self._lock:
+            done = self._idle.wait_for(lambda: self.closed or self._is_idle(), timeout)
         self.check()
         return done
 
@@ -125,9 +125,7 @@ class Shell(Generic[C]):
 
     def end(self) -> None:
         """End the threads after their current work, and store the pose; drop waiting input."""
-        with self._changed:
-            self.closed = True
-            self._changed.notify_all()
+        self._close()
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join()
@@ -136,35 +134,41 @@ class Shell(Generic[C]):
 
     def _start(self, name: str, take: Callable[[], Work | None]) -> None:
         """Start a thread that does the work that ``take`` returns."""
-        name = f"segloc-{name}"
-        thread = threading.Thread(target=self._work, args=[take], name=name, daemon=True)
+        waker = self._wakers[name] = threading.Condition(self._lock)
+        thread = threading.Thread(
+            target=self._work, args=[take, waker], name=f"segloc-{name}", daemon=True
+        )
         self._threads.append(thread)
         thread.start()
 
-    def _work(self, take: Callable[[], Work | None]) -> None:
+    def _work(self, take: Callable[[], Work | None], waker: threading.Condition) -> None:
         try:
-            while (work := self._taken(take)) is not None:
+            while (work := self._taken(take, waker)) is not None:
                 work()
-                with self._changed:
+                with self._lock:
                     self._busy -= 1
-                    self._changed.notify_all()
+                    self._idle.notify_all()
         except Ended:
             pass
         except BaseException as error:
             self.error = self.error or error
         finally:
-            with self._changed:
-                self.closed = True
-                self._changed.notify_all()
+            self._close()
 
-    def _taken(self, take: Callable[[], Work | None]) -> Work | None:
+    def _close(self) -> None:
+        with self._lock:
+            self.closed = True
+            for waiting in (self._idle, *self._wakers.values()):
+                waiting.notify_all()
+
+    def _taken(self, take: Callable[[], Work | None], waker: threading.Condition) -> Work | None:
         """Wait for work; None once all is to end."""
-        with self._changed:
+        with self._lock:
             while not self.closed:
                 if (work := take()) is not None:
                     self._busy += 1
                     return work
-                self._changed.wait(self._wait_s)
+                waker.wait(self._wait_s)
         return None
 
     def _is_idle(self) -> bool:
@@ -183,7 +187,7 @@ class Shell(Generic[C]):
     def _next_input(self) -> Work | None:
         if self._inputs:
             arrived, call = self._inputs.popleft()
-            self.behind_s = time.monotonic() - arrived
+            self._core.behind_s = time.monotonic() - arrived
         elif self._scans:
             call = self._scans.popleft()
         else:
@@ -198,7 +202,7 @@ class Shell(Generic[C]):
                 if self._on_fault is None:
                     raise
                 self._on_fault(str(error))
-        self._may_be_due = True
+        self._look_for_queries()
 
     def _next_query(self) -> Work | None:
         if not self._may_be_due:
@@ -212,10 +216,13 @@ class Shell(Generic[C]):
         if request is None:
             return
         made: QueryRequest | None = None
-        try:
+        with suppress(SeglocError):
             made = self._core.ask(request)
-        except SeglocError:
-            pass
         with self._entered() as core:
             self._publish(core.answer(request, made))
-        self._may_be_due = True
+        self._look_for_queries()
+
+    def _look_for_queries(self) -> None:
+        with self._lock:
+            self._may_be_due = True
+            self._wakers["queries"].notify()
