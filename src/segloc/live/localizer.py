@@ -72,20 +72,7 @@ class LiveLocalizer(Shell[LiveCore]):
         super().__init__(core, self._tell, wait_s=self._silent_s)
 
     def add_scan(self, scan: Scan | NDArray[np.floating[Any]], stamp: float | None = None) -> None:
-        """Add a scan without waiting.
-
-        Parameters
-        ----------
-        scan : Scan or (N, 3) array
-            Points in the sensor's frame [m]; de-skewed if they have times.
-        stamp : float, optional
-            On the odometry's clock [s]; by default the scan's own.
-
-        Raises
-        ------
-        InvalidScan
-            If the scan is invalid, or has no stamp.
-        """
+        """Add a scan, or points (N, 3), as :meth:`LiveCore.add_scan` does, without waiting."""
         scan = scan if isinstance(scan, Scan) else Scan(scan)
         time_s = known_stamp(scan.stamp if stamp is None else stamp)
         with self._lock:
@@ -95,20 +82,7 @@ class LiveLocalizer(Shell[LiveCore]):
         self.feed(lambda core: core.add_scan(scan, time_s), is_scan=True)
 
     def add_odometry(self, stamp: float, T_odom_base: ArrayLike) -> None:
-        """Add a pose of the odometry without waiting.
-
-        Parameters
-        ----------
-        stamp : float
-            On the scans' clock [s].
-        T_odom_base : (4, 4) array
-            In a frame whose z axis points up.
-
-        Raises
-        ------
-        InvalidScan
-            If the pose is invalid, or the stamp is not a finite number.
-        """
+        """Add a pose of the odometry, as :meth:`LiveCore.add_odometry` does, without waiting."""
         time_s, T = known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
         self.feed(lambda core: core.add_odometry(time_s, T))
 
@@ -129,13 +103,7 @@ class LiveLocalizer(Shell[LiveCore]):
         return self._core.dropped + self._core.skipped
 
     def close(self) -> None:
-        """End the threads after their current work; drop waiting input.
-
-        Raises
-        ------
-        LiveError
-            If a thread has failed.
-        """
+        """End the threads after their current work; drop waiting input."""
         self.end()
         self.check()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from segloc import geometry, ros_covariance
 from segloc.robot import Float64, Pose
@@ -95,9 +94,8 @@ class OdometryReply:
         seconds = 0.0 if before is None else transform.stamp - before[0]
         if before is None or seconds <= 0.0:
             return cls(transform, np.zeros(3), np.zeros(3))
-        step = geometry.inverse(before[1]) @ transform.T_parent_child
-        turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
-        return cls(transform, step[:3, 3] / seconds, turn / seconds)
+        rates = geometry.displacement(before[1], transform.T_parent_child) / seconds
+        return cls(transform, rates[3:], rates[:3])
 
 
 @dataclass(frozen=True)

@@ -209,7 +209,7 @@ class Robot:
         try:
             stamp, frame, scan = livox_cloud(data)
         except SeglocError as error:
-            self._arrived = time.monotonic()
+            self._arrived = self._heard_at = time.monotonic()
             return self._refuse("unreadable", f"cloud refused: {error}")
         return self._on_scan(lambda: scan, [], stamp, frame, topic)
 
@@ -222,7 +222,7 @@ class Robot:
     ) -> list[Reply]:
         """Take a cloud; ``names`` are those of its fields."""
         begun = time.perf_counter()
-        self._arrived = time.monotonic()
+        self._arrived = self._heard_at = time.monotonic()
         self._own.pop("points", None)
         lidar, topic = frame_name(frame), topic or self.settings.points_topic
         if topic == self.settings.points_topic and not self._is_of_one(lidar, stamp):
@@ -498,6 +498,7 @@ class Robot:
     def _moved(self, odometry: list[Stamped]) -> list[Reply]:
         replies: list[Reply] = []
         for stamp, T in odometry:
+            self._heard_at = time.monotonic()
             self._odometry.append((stamp, T))
             if self._core is not None:
                 replies += self._tell(self._core.add_odometry(stamp, T))
