@@ -63,7 +63,7 @@ def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def displacement(T_from: Pose, T_to: Pose) -> Float64:
-    """Return the rotation vector [rad] and translation [m] between two poses, (6,), in the first."""
+    """Return rotation vector [rad] and translation [m] from a pose to another, (6,)."""
     T = inverse(T_from) @ T_to
     return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
 

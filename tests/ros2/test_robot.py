@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -488,12 +489,15 @@ def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
 
 
 def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer)
+    listener = Listener.of(localizer, silent_s=1.5)
     on_tf_static(listener.robot)
     listener.walk(plaza, 3)
-    listener.robot.quiet(3.0)
+    assert listener.robot.report_silence() == []
+    time.sleep(1.6)
+    assert listener.robot.report_silence()
     told = diagnose(listener.robot)
-    assert told.level is Level.WARN and "no data received for 3.0 s" in told.message
+    assert told.level is Level.WARN and "no data received for 1." in told.message
+    assert listener.robot.report_silence() == []
 
 
 def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(

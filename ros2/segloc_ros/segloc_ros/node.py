@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import threading
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -30,6 +33,7 @@ from std_srvs.srv import Empty, Trigger
 from segloc import Prior, SeglocError
 
 from .bond_port import BondPort
+from .core.diagnosis import diagnose
 from .core.frames import Transform
 from .core.livox import is_livox
 from .core.maps import grid_beside
@@ -42,7 +46,6 @@ from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .process import EndSignal
 from .tf_port import TfPort
-from .waiting import Waiting
 
 try:
     from segloc_msgs.srv import LoadMap
@@ -78,6 +81,36 @@ def _message_type(name: str) -> Any:
         return getattr(module, message)
     except AttributeError as error:
         raise ImportError(f"{package} has no message {message}") from error
+
+
+@dataclass
+class _Call:
+    fixes: int
+    until: float
+    future: Future
+
+
+class Waiting:
+    """Pending service calls."""
+
+    def __init__(self) -> None:
+        self._calls: list[_Call] = []
+        self._lock = threading.Lock()
+
+    def wait(self, fixes: int, seconds: float, future: Future) -> Future:
+        """Return the future: True once there are more fixes than ``fixes``, else False."""
+        with self._lock:
+            self._calls.append(_Call(fixes, time.monotonic() + seconds, future))
+        return future
+
+    def settle(self, fixes: int, given_up: bool = False) -> None:
+        """Answer the calls that are found, given up or timed out."""
+        now = time.monotonic()
+        with self._lock:
+            done = [c for c in self._calls if fixes > c.fixes or given_up or now > c.until]
+            self._calls = [c for c in self._calls if c not in done]
+        for call in done:
+            call.future.set_result(fixes > call.fixes)
 
 
 class SeglocNode(LifecycleNode):
@@ -418,7 +451,7 @@ class SeglocNode(LifecycleNode):
         """Return the state in one line."""
         if self.pump is None or self._outputs is None or not self._inputs:
             return "the node is not active"
-        return self.pump.read(self._outputs.summary)
+        return self.pump.read(diagnose).message
 
 
 def run(kind: type[SeglocNode], end: EndSignal) -> bool:

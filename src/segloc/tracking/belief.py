@@ -302,7 +302,8 @@ class Belief:
             both = before + seen.covariance / view.new
             if step @ np.linalg.solve(both, step) <= _MOST_SQUARED:
                 gain = np.linalg.solve(both, before).T
-                T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step) @ geometry.inverse(T_sensor)
+                T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
+                T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
                 h.doubted = T

@@ -21,15 +21,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """One diagnostic_msgs/DiagnosticStatus.
-
-    Attributes
-    ----------
-    level : Level
-    message : str
-        The state, and why it is no better.
-    values : dict of str to str
-    """
+    """One diagnostic_msgs/DiagnosticStatus; its message is the state, and why it is no better."""
 
     level: Level
     message: str
@@ -56,22 +48,7 @@ class TfState(IntEnum):
 
 @dataclass(frozen=True)
 class RobotState:
-    """The contents of a segloc_msgs/State.
-
-    Attributes
-    ----------
-    stamp : float
-        Of the newest odometry [s]; 0 before the first.
-    status : StateStatus
-    at_rest : bool
-        Whether no queries are made: the pose, if there is one, follows the odometry.
-    reason : str
-        Why the status is no better; "" while localized and without a fault.
-    confidence : float
-        Probability of the most probable place, in [0, 1], to two decimals.
-    map_url : str
-    map_to_odom : TfState
-    """
+    """The contents of a segloc_msgs/State, whose file describes them."""
 
     stamp: float
     status: StateStatus

@@ -41,8 +41,8 @@ from .replies import (
     PoseReply,
     Reply,
 )
-from .settings import Settings
 from .scan_checks import ScansInOdom, StillClouds
+from .settings import Settings
 from .trigger import Trigger
 
 _MOST_POSES = 4096
@@ -54,14 +54,12 @@ _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
 class Robot:
     """Localizes a robot from the messages of its topics.
 
-    Parameters
-    ----------
-    settings : Settings
-
     Attributes
     ----------
     faults : dict of str to str
         Messages on what is missing, by kind; no pose is published while there is any.
+    core : LiveCore or None
+        What follows the robot; None while the map or the mount is unknown.
     state : State or None
     fixes : int
         How often it was found.
@@ -71,16 +69,12 @@ class Robot:
         Processing time of the last cloud, and its points, those of all LiDARs.
     refused : Counter of str
         Clouds that were not used, by reason.
-    skipped, jumps : int
-        Clouds that came faster than they could be processed; jumps of the odometry.
-    behind_s : float
-        Time that the newest input other than clouds has waited [s].
-    maps : MapFile
-        The file of the map.
+    skipped, behind_s : int, float
+        As for :class:`segloc.live.Shell`, which sets them.
+    jumps : int
+        Jumps of the odometry.
     publishers : int or None
         Of ``points``; None if unknown.
-    keeper : PoseKeeper or None
-        Keeps the pose over a power cycle.
     point_times : dict of str to StreamTimes
         Unit of the point times by topic; ``note`` is a line if they are converted or dropped.
     """
@@ -102,7 +96,7 @@ class Robot:
         self._localizer: Localizer | None = None
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._is_near_fix = False  # whether the last query was near it
-        self._core: LiveCore | None = None
+        self.core: LiveCore | None = None
         self._asked: LiveCore | None = None  # that the query in progress is of
         self.point_times: defaultdict[str, StreamTimes] = defaultdict(StreamTimes)
         self._own = {"points": f"no cloud yet: {settings.points_topic}"}
@@ -132,11 +126,6 @@ class Robot:
     def hint(self) -> str:
         """Likely cause of failed queries; "" if none is known."""
         return self._checked.fault
-
-    @property
-    def core(self) -> LiveCore | None:
-        """What follows the robot; None while the map or the mount is unknown."""
-        return self._core
 
     @property
     def stamp(self) -> float:
@@ -182,7 +171,7 @@ class Robot:
         odometry = self.body.add_transforms(transforms, static)
         if self.body.tf_changes != self._tf_changes:
             self._tf_changes = self.body.tf_changes
-            if self._core is not None and not self.body.is_rigid():
+            if self.core is not None and not self.body.is_rigid():
                 self._end()
         return self._moved(odometry)
 
@@ -349,8 +338,8 @@ class Robot:
         self.trigger.wake(near, anywhere)
         self._told, self._own = None, {k: v for k, v in self._own.items() if k != "jump"}
         self._forget_hints()
-        if self._core is not None:
-            self.state = self._core.forget()
+        if self.core is not None:
+            self.state = self.core.forget()
         return self.fixes
 
     def request_update(self) -> None:
@@ -363,22 +352,22 @@ class Robot:
             return
         if self.trigger.resting:
             self.trigger.wake()
-        if self._core is not None:
-            self._core.hurry()
+        if self.core is not None:
+            self.core.hurry()
 
     def report_silence(self) -> list[Reply]:
         """Report, once, that neither clouds nor odometry came for some time."""
         silent_s = time.monotonic() - self._heard_at
-        if self._core is None or not self._core.scans or silent_s <= self.settings.silent_s:
+        if self.core is None or not self.core.scans or silent_s <= self.settings.silent_s:
             return []
         self._heard_at = np.inf
-        return self._tell([self._core.report_silence(silent_s)])
+        return self._tell([self.core.report_silence(silent_s)])
 
     # --- queries -------------------------------------------------------------------------------
 
     def due(self) -> QueryRequest | None:
         """Return the query to make now, if any."""
-        core = self._core
+        core = self.core
         if core is None or (request := core.due()) is None:
             return None
         near = self.trigger.near(request.stamp) or request.near or self._fixed(request.stamp)
@@ -416,7 +405,7 @@ class Robot:
 
     def answer(self, request: QueryRequest, made: QueryRequest | None) -> list[Reply]:
         """Apply a query; one in a map that was replaced meanwhile is ignored."""
-        core, frame = self._core, self.settings.map_frame
+        core, frame = self.core, self.settings.map_frame
         if core is None or core is not self._asked:
             return []
         if made is None or not made.found:
@@ -470,7 +459,7 @@ class Robot:
 
     def _end(self) -> None:
         """End the localization: forget the pose and the scans."""
-        self._core, self.state, self._told = None, None, None
+        self.core, self.state, self._told = None, None, None
         self._forget_hints()
         if self._smooth is not None:
             self._smooth.clear()
@@ -484,24 +473,24 @@ class Robot:
         """Return the core for a mount; a new one if it has changed."""
         if self._localizer is None:
             return None
-        if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
-            self._core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
+        if self.core is None or not same(self.core.T_base_sensor, T_base_lidar):
+            self.core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
             self.state, self._told = None, None
             for stamp, T in self._odometry:
-                self._core.add_odometry(stamp, T)
-            self._jumps = self._core.jumps
+                self.core.add_odometry(stamp, T)
+            self._jumps = self.core.jumps
             if self._supposed is not None:
-                self._core.tracker.suppose(self._supposed)
+                self.core.tracker.suppose(self._supposed)
                 self._supposed = None
-        return self._core
+        return self.core
 
     def _moved(self, odometry: list[Stamped]) -> list[Reply]:
         replies: list[Reply] = []
         for stamp, T in odometry:
             self._heard_at = time.monotonic()
             self._odometry.append((stamp, T))
-            if self._core is not None:
-                replies += self._tell(self._core.add_odometry(stamp, T))
+            if self.core is not None:
+                replies += self._tell(self.core.add_odometry(stamp, T))
             replies += self._broadcast(stamp, T)
         return replies
 
@@ -520,8 +509,8 @@ class Robot:
             frames = self.body.odom_frame, self.settings.base_frame
             replies.append(OdometryReply.of(Transform(time_s, *frames, T), before))
             replies += self._moved(self.body.computed(time_s, T))
-        if odometry.losses > lost and self._core is not None:
-            replies += self._tell([self._core.report_lost_motion(odometry.fault)])
+        if odometry.losses > lost and self.core is not None:
+            replies += self._tell([self.core.report_lost_motion(odometry.fault)])
         return replies
 
     def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:
@@ -563,7 +552,7 @@ class Robot:
         return current.T_map_odom @ state.T_odom_base, state.T_odom_base, current.covariance
 
     def _notice_jumps(self) -> None:
-        core = self._core
+        core = self.core
         if core is None or core.jumps == self._jumps:
             return
         self.jumps += core.jumps - self._jumps
