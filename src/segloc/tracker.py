@@ -207,7 +207,7 @@ class Tracker:
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
         # Of the scans, a view takes the one that is nearest to its distance.
-        is_near = self._since_view() + 0.5 * metres >= config.check_m
+        is_near = self.travelled - self._viewed + 0.5 * metres >= config.check_m
         if search or (self._probable and is_near):
             return self._request(scans, T, search, localized)
         return None
@@ -218,13 +218,10 @@ class Tracker:
         best = self.belief.hypotheses[:_MAX_CHECKED]
         return [h for h in best if h.probability > _MIN_CHECKED_P]
 
-    def _since_view(self) -> float:
-        return self.travelled - self._viewed
-
     def _request(
         self, scans: Scans | LocalCloud, T: Pose, search: bool, settled: bool
     ) -> QueryRequest:
-        new = min(1.0, self._since_view() / self.config.check_m)
+        new = min(1.0, (self.travelled - self._viewed) / self.config.check_m)
         self._viewed = self.travelled
         newest = _newest(scans, T)
         if search:
@@ -340,12 +337,6 @@ class Tracker:
         """Drop all hypotheses, keep the scans, and search at once."""
         self.belief.clear()
         self._searched, self._epoch = -math.inf, self._epoch + 1
-
-    def clear(self) -> None:
-        """Drop all hypotheses and all scans."""
-        self.forget()
-        self._last = None
-        self._restart_window()
 
     def _restart_window(self) -> None:
         """Drop the accumulated scans; searches use later ones only."""

@@ -16,13 +16,7 @@ _PACKAGES = ("autoware_internal_localization_msgs", "tier4_localization_msgs")
 
 
 def service_type() -> Any:
-    """PoseWithCovarianceStamped, of whichever Autoware is installed.
-
-    Raises
-    ------
-    ConfigError
-        If there is none.
-    """
+    """Return PoseWithCovarianceStamped of the Autoware that is installed; ConfigError if none."""
     for package in _PACKAGES:
         try:
             return importlib.import_module(f"{package}.srv").PoseWithCovarianceStamped

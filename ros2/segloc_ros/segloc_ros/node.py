@@ -147,12 +147,7 @@ class SeglocNode(LifecycleNode):
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
-        """Return the settings that the parameters hold.
-
-        Raises
-        ------
-        segloc.ConfigError
-        """
+        """Return the settings that the parameters hold; raise ConfigError if they are wrong."""
         values = {}
         for name, default, _ in Settings.declared():
             value = self.get_parameter_or(name).value

@@ -10,10 +10,9 @@ from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .localizer import LiveLocalizer
 from .replay import Replay, play, pose_errors
-from .shell import Ended, Shell
+from .shell import Shell
 
 __all__ = [
-    "Ended",
     "LidarOdometry",
     "LiveConfig",
     "LiveCore",

@@ -355,7 +355,9 @@ class LiveCore:
             if status is Status.LOCALIZED:
                 status = Status.DEGRADED
         if T_odom_base is None:
-            T_odom_base = self.state.T_odom_base if stamp == self.state.stamp else self._last_pose()
+            T_odom_base, newest = self.state.T_odom_base, self._odometry.pose
+            if stamp != self.state.stamp and newest is not None:
+                T_odom_base = newest
         self.state = State(
             stamp,
             status,
@@ -373,10 +375,6 @@ class LiveCore:
             assert T_odom_base is not None
             self.keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
-
-    def _last_pose(self) -> Pose | None:
-        pose = self._odometry.pose
-        return self.state.T_odom_base if pose is None else pose
 
     def _covariance(self, covariance: Float64 | None) -> Float64 | None:
         """Convert the sensor's covariance to the base's, with a lower bound."""
@@ -469,21 +467,7 @@ class State:
         return self.T_map_odom @ self.T_odom_base
 
     def record(self) -> Mapping[str, Any]:
-        """Return values for JSON."""
-        return {
-            "stamp": self.stamp,
-            "state": self.status.value,
-            "reason": self.reason,
-            "T_map_odom": _nested(self.T_map_odom),
-            "T_map_base": _nested(self.T_map_base),
-            "covariance": _nested(self.covariance),
-            "confidence": self.confidence,
-            "views": self.views,
-            "travelled_m": self.travelled_m,
-            "answered": self.answered,
-            "latency_ms": self.latency_ms,
-        }
-
-
-def _nested(array: Float64 | None) -> list[list[float]] | None:
-    return None if array is None else np.asarray(array).tolist()
+        """Return values for JSON: those of ``RECORD`` that are of the state alone."""
+        record = {name: getattr(self, name, None) for name in tuple(RECORD)[1:-1]}
+        record["state"] = self.status.value
+        return {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in record.items()}

@@ -35,10 +35,6 @@ T = TypeVar("T")
 Work = Callable[[], None]
 
 
-class Ended(Exception):
-    """Raised by work of a thread to end it."""
-
-
 class Shell(Generic[C]):
     """Let inputs reach a core one at a time, and make its queries beside them.
 
@@ -64,6 +60,9 @@ class Shell(Generic[C]):
         What ended the threads.
     closed : bool
     """
+
+    class Ended(Exception):
+        """Raised by work to end its thread."""
 
     def __init__(
         self,
@@ -148,7 +147,7 @@ class Shell(Generic[C]):
                 with self._lock:
                     self._busy -= 1
                     self._idle.notify_all()
-        except Ended:
+        except self.Ended:
             pass
         except BaseException as error:
             self.error = self.error or error

@@ -11,17 +11,11 @@ from segloc import Localizer, SeglocError, SegmentMap
 from segloc.robot import Float32, map_config
 from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
 
-from .cloud_map import Note, cloud_signature, holds_cloud, map_of_cloud
+from .cloud_map import Note, cloud_signature, holds_cloud, is_url, map_of_cloud
 
 
 class MapFile:
     """A map that may be missing, late or replaced.
-
-    Parameters
-    ----------
-    path : str
-    threads : int
-        Of the localizer.
 
     Attributes
     ----------
@@ -76,10 +70,7 @@ class MapFile:
     def switch(self, path: str) -> Localizer:
         """Load another map, and watch that from now on; on a fault the one before stays.
 
-        Raises
-        ------
-        SeglocError
-            If it cannot be loaded; names the fault.
+        Raise SeglocError, which names the fault, if it cannot be loaded.
         """
         try:
             signature = _signature(path)
@@ -117,13 +108,9 @@ def _named(path: str, error: Exception) -> str:
     return f"{path}: {error.strerror}" if isinstance(error, OSError) else str(error)
 
 
-def _is_url(path: str) -> bool:
-    return "://" in path
-
-
 def _signature(path: str) -> tuple[int, int, int]:
     """What changes whenever a map is replaced; a URL is not watched."""
-    if _is_url(path):
+    if is_url(path):
         return (0, 0, 0)
     if holds_cloud(path):
         return cloud_signature(path)
@@ -138,7 +125,7 @@ def grid_beside(path: str) -> str:
     It is ``site.yaml`` or ``site/map.yaml`` beside ``site.segmap``, and ``map.yaml`` in a folder.
     """
     where = Path(path)
-    if _is_url(path):
+    if is_url(path):
         return ""
     stem = where if where.is_dir() else where.with_suffix("")
     beside = stem / "map.yaml", stem.with_name(f"{stem.name}.yaml")

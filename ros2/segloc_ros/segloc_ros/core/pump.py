@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 from segloc import Localizer, SeglocError
-from segloc.live import Ended, Shell
+from segloc.live import Shell
 from segloc.robot import Pose
 
 from .replies import Reply
@@ -86,4 +86,4 @@ class Pump(Shell[Robot]):
 
     def _check_closed(self) -> None:
         if self.closed:
-            raise Ended
+            raise self.Ended
