@@ -12,7 +12,6 @@ from enum import Enum
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from .. import geometry
 from ..system.section import Section
@@ -299,11 +298,12 @@ class Belief:
             return
         T, covariance = seen.T_map_odom, seen.covariance
         if before is not None:
-            step = _step(h.T_map_odom @ T_sensor, T @ T_sensor)
+            step = geometry.displacement(h.T_map_odom @ T_sensor, T @ T_sensor)
             both = before + seen.covariance / view.new
             if step @ np.linalg.solve(both, step) <= _MOST_SQUARED:
                 gain = np.linalg.solve(both, before).T
-                T = h.T_map_odom @ T_sensor @ _moved(gain @ step) @ geometry.inverse(T_sensor)
+                T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
+                T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
                 h.doubted = T
@@ -314,20 +314,16 @@ class Belief:
     def _repeats(self, doubted: Pose, seen: Reading, T_odom_sensor: Pose) -> bool:
         """Return whether two measured poses agree, by the covariance of one."""
         assert seen.covariance is not None
-        step = _step(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
+        step = geometry.displacement(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
         squared = step @ np.linalg.solve(2.0 * seen.covariance, step)
         return bool(squared <= _MOST_SQUARED)
 
-    def _same(self, h: Hypothesis, T_map_odom: Pose, view: View) -> bool:
-        """Return whether a pose gives the sensor the place of a hypothesis."""
-        T_odom_sensor = view.T_odom_sensor
-        return not self._separation.apart(h.T_map_odom @ T_odom_sensor, T_map_odom @ T_odom_sensor)
-
     def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
-        merged: list[Hypothesis] = []
+        merged, T_sensor = list[Hypothesis](), view.T_odom_sensor
         for h in sorted(self.hypotheses, key=lambda h: -h.probability):
-            same = (m for m in merged if self._same(m, h.T_map_odom, view))
+            T, apart = h.T_map_odom @ T_sensor, self._separation.apart
+            same = (m for m in merged if not apart(m.T_map_odom @ T_sensor, T))
             if (m := next(same, None)) is None:
                 merged.append(h)
             else:
@@ -351,13 +347,3 @@ class Belief:
 
     def _unsupported(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"
-
-
-def _step(T_from: Pose, T_to: Pose) -> Float64:
-    """Return the rotation vector [rad] and the translation [m] from one pose to another, (6,)."""
-    T = geometry.inverse(T_from) @ T_to
-    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
-
-
-def _moved(step: Float64) -> Pose:
-    return geometry.rigid(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])

@@ -29,11 +29,9 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localization, Localizer, Scan, build_map, geometry
+from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.errors import InvalidScan
 from segloc.live import LidarOdometry, LiveCore, State, Status
-from segloc.pipeline import Search
-from segloc.proposals import Query
 from segloc.system.stage_times import StageTimes
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.types import Float64, Int64, Recording
@@ -301,12 +299,7 @@ def _add_alone(
     core: LiveCore, odometry: LidarOdometry, scan: Scan, stamp: float, times: StageTimes
 ) -> None:
     """Add a scan as ``LiveCore(lidar_odometry=True)`` does, and make its queries."""
-    segmented: list[float] = []
-
-    def note(query: Query, search: Search, result: Localization) -> None:
-        segmented.append(result.times_ms["segmentation"])
-
-    lost = odometry.losses
+    segmented, lost = 0.0, odometry.losses
     with times("odometry"):
         poses = odometry.add(scan, stamp)
     with times("scan"):
@@ -317,8 +310,10 @@ def _add_alone(
         core.add_scan(scan, stamp)
     with times("query"):
         while (asked := core.due()) is not None:
-            core.answer(asked, core.ask(asked, callback=note))
-    times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + sum(segmented)
+            made = core.ask(asked)
+            core.answer(asked, made)
+            segmented += sum(result.times_ms["segmentation"] for *_, result in made.found)
+    times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + segmented
 
 
 def there_and_back(count: int, total: int) -> Int64:
