@@ -75,8 +75,8 @@ RECORD = {
     "correct": "with `--truth`: within the tolerance",
     "distance_to_map_m": "with `--truth`: horizontal distance of the true position from the mapped "
     "trajectory; in a map of a finished cloud, from its surfaces and gaps between them up to 20 m",
-    "ms": "milliseconds of each stage and their `total` by the clock; `processor`: processor time of "
-    "the query, which other programs do not lengthen",
+    "ms": "milliseconds of each stage and their `total` by the clock; `processor`: processor time "
+    "of the query, which other programs do not lengthen",
 }
 """Keys of a line of ``localizations.jsonl`` and their meaning."""
 SUMMARY = {
@@ -90,8 +90,8 @@ SUMMARY = {
     "false": "with `--truth`: localized and not correct; else null",
     "translation_error_m": "`median` and `p95` over the localized queries",
     "rotation_error_deg": "the same in degrees",
-    "ms": "median milliseconds of each stage, and `total`, by the clock; `processor`: median processor "
-    "time",
+    "ms": "median milliseconds of each stage, and `total`, by the clock; `processor`: median "
+    "processor time",
     "reasons": "count of each reason",
     "within_coverage": "with `--truth`: queries within map coverage (`distance_to_map_m` up to 3)",
     "within_coverage_correct": "with `--truth`: correct ones within map coverage",

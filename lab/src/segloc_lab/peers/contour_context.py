@@ -392,8 +392,13 @@ def refined(m: Contours, q: Contours, start: Planar) -> tuple[float, Planar]:
     scale = correlation(np.array(start))[0]
     if scale <= 0.0:
         return 0.0, start
+
+    def lacking(pose: Floats) -> tuple[float, Floats]:
+        value, slope = correlation(pose)
+        return -value / scale, -slope / scale
+
     done = minimize(
-        lambda pose: tuple(-each / scale for each in correlation(pose)),
+        lacking,
         np.array(start),
         jac=True,
         method="BFGS",
