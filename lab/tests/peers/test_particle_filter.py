@@ -52,7 +52,7 @@ def test_a_planar_scan_is_what_stands_nearest(room: Grid) -> None:
 def drive(
     room: Grid, followed: ParticleFilter, steps: int, pose: np.ndarray
 ) -> list[tuple[float, float, float]]:
-    """Return errors of position and heading, and the agreement, of a robot that goes in a circle."""
+    """Return errors of position and heading, and agreement, of a robot that goes in a circle."""
     found = []
     for _ in range(steps):
         pose = pose @ geometry.yaw_transform(STEP[2], (STEP[0], 0.0, 0.0))

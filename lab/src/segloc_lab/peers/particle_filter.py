@@ -118,7 +118,7 @@ class Grid:
         return self.distance.size
 
     def at(self, xy: Floats, reach_m: float) -> Floats:
-        """Return the distance of points (..., 2) to the nearest obstacle; beyond the grid, reach."""
+        """Return the distance of points to the nearest obstacle; beyond the grid, the reach."""
         cells = np.floor((xy - self.corner) / self.edge_m).astype(np.int64)
         columns, rows = cells[..., 0], cells[..., 1]
         inside = (rows >= 0) & (columns >= 0)
@@ -147,7 +147,8 @@ def planar(points: NDArray[np.floating], options: GridOptions, longest_m: float)
     degree = np.floor(np.degrees(np.arctan2(xy[:, 1], xy[:, 0]))).astype(np.int64)
     order = np.lexsort((away, degree))
     first = np.unique(degree[order], return_index=True)[1]
-    return xy[order[first]]
+    nearest: Floats = xy[order[first]]
+    return nearest
 
 
 class ParticleFilter:

@@ -7,10 +7,10 @@ the map, is put unnoticed to the place whose view is most alike, and drives on f
 systems get the same scans and the same odometry.
 
 - ``segloc`` begins without a pose. It is ``segloc live``'s core.
-- ``particle-filter`` gets a pose near the true one to begin with, half a metre and five degrees off
-  by standard deviations, and the grid of ``segloc export --to nav2``, of the storey it begins on. It
-  always has a pose; in a second row it counts as localized while at least 90 % of its particles lie
-  within a metre and 20 degrees of that pose.
+- ``particle-filter`` gets a pose near the true one to begin with, half a metre and five degrees
+  off by standard deviations, and the grid of ``segloc export --to nav2``, of the storey it begins
+  on. It always has a pose; in a second row it counts as localized while at least 90 % of its
+  particles lie within a metre and 20 degrees of that pose.
 - ``scan-context`` and ``contour-context``, with GICP and overlap, answer every scan anew, turned
   level by the odometry. They accept answers above a threshold that is chosen on the other worlds:
   halfway between the highest score of a wrong answer and the next score of a right one above it. It
@@ -278,8 +278,8 @@ def _is_right(T: Float64, truth: Float64) -> bool:
 
 COLUMNS = ("system", "right, of scans in the map", *EVENTS, "processor ms a scan")
 NOTE = (
-    "Right: localized within 2 m and 10 degrees, of the scans within 3 m of the mapped path, before "
-    "and after the robot is carried away. Noticed, recovered: of those known before. False: metres "
+    "Right: localized within 2 m and 10 degrees, of the scans within 3 m of the mapped path, "
+    "before and after the robot is carried away. Noticed, recovered: of those known before. False: metres "
     "of a trial localized farther off than that. The particle filter begins near the true pose, "
     "which it is given; it alone. A system that answers one scan at a time is localized at the "
     "scans whose answer it accepts. segloc works at a query every 2 m and checks between, the "
