@@ -279,9 +279,9 @@ def _is_right(T: Float64, truth: Float64) -> bool:
 COLUMNS = ("system", "right, of scans in the map", *EVENTS, "processor ms a scan")
 NOTE = (
     "Right: localized within 2 m and 10 degrees, of the scans within 3 m of the mapped path, "
-    "before and after the robot is carried away. Noticed, recovered: of those known before. False: metres "
-    "of a trial localized farther off than that. The particle filter begins near the true pose, "
-    "which it is given; it alone. A system that answers one scan at a time is localized at the "
+    "before and after the robot is carried away. Noticed, recovered: of those known before. False: "
+    "metres of a trial localized farther off than that. The particle filter alone is given a pose "
+    "near the true one to begin with. A system that answers one scan at a time is localized at the "
     "scans whose answer it accepts. segloc works at a query every 2 m and checks between, the "
     "others at every scan."
 )
