@@ -9,7 +9,7 @@ import pytest
 from segloc_lab.peers.particle_filter import Grid, ParticleFilter, Settings, needed, planar
 
 from segloc import geometry
-from segloc.export.nav2 import FREE, OCCUPIED, GridOptions
+from segloc.tools.export.nav2 import FREE, OCCUPIED, GridOptions
 
 EDGE_M = 0.1
 SETTINGS = Settings()

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from segloc.export.nav2 import FREE, OCCUPIED, GridOptions
+from segloc.tools.export.nav2 import FREE, OCCUPIED, GridOptions
 
 from .scan_context import ground_below
 

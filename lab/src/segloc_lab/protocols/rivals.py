@@ -38,9 +38,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.errors import ConfigError
-from segloc.export.nav2 import GridOptions, write_nav2
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
+from segloc.tools.export.nav2 import GridOptions, write_nav2
 from segloc.types import Float64
 
 from ..peers.compare import threshold
