@@ -9,7 +9,7 @@ from typing import Any
 from ...localization import Localization, pose_text
 from ...system.text import counted, number
 from ..inspect import html
-from .score import Evaluation
+from .score import PROCESSOR, Evaluation
 
 PICTURES = {
     "trajectory.png": "Answers on the map: an arrow for each localized query, a hollow shape for "
@@ -113,7 +113,8 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
     rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
-    rows.append(("time per query, median", number(summary["ms"]["total"], "ms", 1)))
+    by_clock, spent = (number(summary["ms"][key], "ms", 1) for key in ("total", PROCESSOR))
+    rows.append(("time per query, median", f"{by_clock}, processor {spent}"))
     return rows
 
 

@@ -6,6 +6,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TypeAlias
 
@@ -25,6 +26,7 @@ from ...system.stage_times import Clock, StageTimes
 from ...tiles import localizer_in, open_map
 from ...types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 from ..datasets.fixes import Fixes
+from .score import PROCESSOR
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One prior for all queries, one per query, or none."""
@@ -72,7 +74,8 @@ def localize_sequence(
     """Localize the scans at some positions of a recording, each independently.
 
     If the recording has poses, a query accumulates the scans before it; otherwise it is a single
-    scan. A prior applies to all queries, or there is one (or None) per query.
+    scan. A prior applies to all queries, or there is one (or None) per query. The times of a result
+    hold the processor time of the query, too: that of all threads of this process.
 
     Raises
     ------
@@ -82,11 +85,15 @@ def localize_sequence(
     results: list[Localization] = []
     sequence = as_recording(scans)
     clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
+    begun = time.process_time()
     for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
         query = localizer.describe(cloud, times)
-        results.append(localizer.locate(query, times, near=prior))
+        result = localizer.locate(query, times, near=prior)
+        spent_ms = 1e3 * (time.process_time() - begun)
+        results.append(replace(result, times_ms={**result.times_ms, PROCESSOR: spent_ms}))
         if progress:
             progress(len(results), len(positions))
+        begun = time.process_time()
     return results
 
 

@@ -27,6 +27,9 @@ SURROUNDED_M = 20.0
 PATH_BREAK_M = 35.0
 """Poses of a map's trajectory farther apart are not connected [m]."""
 
+PROCESSOR = "processor"
+"""Key of the processor time of a query, among its times by the clock."""
+
 STAGES = (
     "gathering",
     "segmentation",
@@ -37,6 +40,7 @@ STAGES = (
     "pose",
     "verification",
     "total",
+    PROCESSOR,
 )
 _PATH_STEP_M = 0.5
 _CELL_M, _MAX_CELLS = 1.0, 16e6  # of the space that a finished cloud covers
@@ -71,7 +75,8 @@ RECORD = {
     "correct": "with `--truth`: within the tolerance",
     "distance_to_map_m": "with `--truth`: horizontal distance of the true position from the mapped "
     "trajectory; in a map of a finished cloud, from its surfaces and gaps between them up to 20 m",
-    "ms": "milliseconds of each stage, and `total`",
+    "ms": "milliseconds of each stage and their `total` by the clock; `processor`: processor time "
+    "of the query, which other programs do not lengthen",
 }
 """Keys of a line of ``localizations.jsonl`` and their meaning."""
 SUMMARY = {
@@ -85,7 +90,8 @@ SUMMARY = {
     "false": "with `--truth`: localized and not correct; else null",
     "translation_error_m": "`median` and `p95` over the localized queries",
     "rotation_error_deg": "the same in degrees",
-    "ms": "median milliseconds of each stage",
+    "ms": "median milliseconds of each stage, and `total`, by the clock; `processor`: median "
+    "processor time",
     "reasons": "count of each reason",
     "within_coverage": "with `--truth`: queries within map coverage (`distance_to_map_m` up to 3)",
     "within_coverage_correct": "with `--truth`: correct ones within map coverage",
