@@ -7,8 +7,10 @@ from typing import Any
 from ..system.text import counted
 from .georeference import Georeference
 
-SOURCE, CLOUD = "source", "cloud"
-"""Key of the metadata, and its value for maps of one finished cloud."""
+SOURCE, CLOUD, PLAN = "source", "cloud", "plan"
+"""Key of the metadata, and its values for maps of one finished cloud, and of a building's plan."""
+TOLERANCE = "tolerance_m"
+"""Key of the metadata: how far a building may be off its plan [m]."""
 CLOUD_FRAME = "T_map_cloud"
 """Key of the metadata: transform from the frame of a finished cloud that was levelled."""
 VIEWPOINTS, LATTICE, BETWEEN = "viewpoints", "lattice", "between"
