@@ -57,6 +57,8 @@ PACKAGES = {
     "laspy": "io",
     "lazrs": "io",
     "e57": "io",
+    "trimesh": "io",
+    "ifcopenshell": "io",
     "rosbags": "datasets.ros",
     "lz4": "datasets.ros",
     "velodyne_decoder": "datasets.packets",

@@ -14,6 +14,7 @@ from . import descriptors
 from .errors import ConfigError, MapMismatch
 from .likelihood import VerificationConfig, shipped_model
 from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
+from .map.info import PLAN, SOURCE
 from .map.segment_map import SegmentMap
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
@@ -124,6 +125,11 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     built = map_config(prior_map)
     config = config or built
     notes = []
+    if PLAN in prior_map.metadata.get(SOURCE, ""):
+        notes.append(
+            "the map was made from a plan (experimental), so single scans find less: accumulate "
+            "scans, or pass a prior"
+        )
     if changed := differences(_shared(config), _shared(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
     fitted = _merged(dict(shipped_model().settings), dict(descriptors.preset(config.method)))

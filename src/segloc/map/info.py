@@ -43,6 +43,11 @@ class MapInfo(dict[str, Any]):
         if CLOUD in metadata.get(SOURCE, ""):
             spacing = metadata.get("cloud_spacing_m", "unknown")
             rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
+        if PLAN in metadata.get(SOURCE, ""):
+            off = metadata.get(TOLERANCE, "unknown")
+            rows.append(
+                ("made from", f"a plan, as built within {off[:_MAX_TEXT]} m (experimental)")
+            )
         if frame := metadata.get("frame"):
             rows.append(("frame", frame[:_MAX_TEXT]))
         if (where := Georeference.of(metadata)) is not None:

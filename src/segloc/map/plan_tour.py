@@ -57,6 +57,7 @@ class Floor:
 
     @property
     def area_m2(self) -> float:
+        """Area of the cells [m2]."""
         return len(self.eyes) * self.edge_m**2
 
     def way(self) -> Float64:
@@ -77,7 +78,8 @@ class Floor:
             cells = after.path(before.start)[::-1]
         count = max(1, math.ceil((len(cells) - 1) * self.edge_m / STEP_M))
         steps = np.linspace(0, len(cells) - 1, count + 1).round().astype(int)[1:]
-        return self.eyes[np.array(cells)[steps]]
+        viewpoints: Float64 = self.eyes[np.array(cells)[steps]]
+        return viewpoints
 
 
 @dataclass(frozen=True)
@@ -154,9 +156,7 @@ def storeys(floors: list[Floor]) -> Iterator[list[Floor]]:
         yield storey
 
 
-def _floor(
-    mesh: _native.MeshRays, triangles: Float32, headroom_m: float
-) -> tuple[Float64, float]:
+def _floor(mesh: _native.MeshRays, triangles: Float32, headroom_m: float) -> tuple[Float64, float]:
     """Return the middle of each cell with level ground below free space, (N, 3), and their side.
 
     Rays go down through all surfaces of a column.
