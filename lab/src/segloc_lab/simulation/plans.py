@@ -70,7 +70,6 @@ class Plan:
     def mirrored(self) -> Plan:
         """Return the plan behind a mirror."""
 
-
         def flipped(triangles: Float64) -> Float64:
             other: Float64 = (triangles * [1.0, -1.0, 1.0])[:, ::-1]
             return other
