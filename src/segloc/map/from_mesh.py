@@ -18,7 +18,7 @@ from ..system.text import counted
 from ..types import Float32, Float64, Int64, Scan
 from .build import build_merged_map
 from .config import BuildConfig, checked_build_config
-from .info import PLAN, SOURCE, TOLERANCE
+from .info import MAX_TOLERANCE_M, PLAN, SOURCE, TOLERANCE
 from .plan_tour import Floor, free_floors, storeys
 from .segment_map import SegmentMap
 
@@ -27,10 +27,9 @@ Note = Callable[[str], None]
 
 SENSOR_HEIGHT_M, TOLERANCE_M = 1.0, 0.05
 """Defaults: height of the viewpoints over the floor, and how far walls may be off the plan [m]."""
-MAX_TOLERANCE_M = 0.5
 VOXEL_M = 0.1
 """Voxel of the cloud for verification [m]: thinner than walls, whose faces it keeps apart."""
-_AZIMUTHS, _ELEVATIONS_DEG = 720, np.arange(-60.0, 60.1, 1.5)
+_AZIMUTHS, _ELEVATIONS_DEG = 600, np.arange(-60.0, 61.0, 2.0)
 _NOISE_M = 0.01  # of ranges, as a sensor's: planes without any are degenerate
 
 

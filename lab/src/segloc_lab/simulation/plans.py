@@ -18,8 +18,8 @@ from .worlds.world import World
 STRUCTURE = frozenset({"wall", "ceiling", "floor", "stairs", "pillar", "piers", "beams"})
 """Kinds of objects that a plan has: no furniture, goods, racks, lamps or ducts."""
 SHIFT_M, MISSING, MOVED, FAR_M = 0.05, 0.05, 0.05, 1.0
-_SLAB_M = 1.0  # of ground around the walls
 _WALLS = ("wall",)
+_PIECE_M = 1.0  # triangles that are cut in half are split until they are smaller
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,13 @@ class Plan:
         return Plan(tuple(elements))
 
     def half(self, direction: Float64) -> Plan:
-        """Return the triangles of which the middle lies on one side of the middle of the plan."""
-        corners = self.triangles.reshape(-1, 3)
-        low, high = (corners @ np.append(direction, 0.0))[[*_ends(corners, direction)]]
-        middle = (low + high) / 2
+        """Return what lies on one side of the middle of the plan, cut to pieces of 1 m."""
+        along = self.triangles.reshape(-1, 3)[:, :2] @ direction
+        middle = (along.min() + along.max()) / 2
 
         def kept(triangles: Float64) -> Float64:
-            places: Float64 = triangles.mean(axis=1)[:, :2] @ direction
-            return triangles[places < middle]
+            pieces = _pieces(triangles)
+            return pieces[pieces.mean(axis=1)[:, :2] @ direction < middle]
 
         return self._each(kept)
 
@@ -82,9 +81,19 @@ class Plan:
         )
 
 
-def _ends(corners: Float64, direction: Float64) -> tuple[int, int]:
-    along = corners[:, :2] @ direction
-    return int(np.argmin(along)), int(np.argmax(along))
+def _pieces(triangles: Float64) -> Float64:
+    """Split triangles across their longest sides until all are small."""
+    done = [np.empty((0, 3, 3))]
+    while len(triangles):
+        sides = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        large = sides.max(axis=1) > _PIECE_M
+        done.append(triangles[~large])
+        triangles, first = triangles[large], sides[large].argmax(axis=1)
+        a, b, c = (triangles[np.arange(len(first)), (first + k) % 3] for k in range(3))
+        middle = (a + b) / 2
+        halves = [np.stack(corners, axis=1) for corners in ((a, middle, c), (middle, b, c))]
+        triangles = np.concatenate(halves)
+    return np.concatenate(done)
 
 
 def plan_of(world: World) -> Plan:
@@ -104,13 +113,8 @@ def plan_of(world: World) -> Plan:
         triangles = static.triangles[solid & (static.object_ids == number)]
         if kind in STRUCTURE and len(triangles):
             elements.append((kind, triangles.astype(np.float64)))
-    (long, wide), edge = inside.size, _SLAB_M
-    corners = [
-        [-edge, -edge],
-        [long + edge, -edge],
-        [long + edge, wide + edge],
-        [-edge, wide + edge],
-    ]
+    long, wide = inside.size
+    corners = [[0.0, 0.0], [long, 0.0], [long, wide], [0.0, wide]]
     ground = np.column_stack([inside.to_world(np.array(corners)), np.zeros(4)])
     return Plan((*elements, ("floor", ground[[[0, 1, 2], [0, 2, 3]]])))
 
