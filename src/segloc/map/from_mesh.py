@@ -104,7 +104,7 @@ def build_from_mesh(
     Parameters
     ----------
     triangles : (T, 3, 3) array
-        Corners in the map's frame [m], z up; :func:`segloc.io.meshes.read_plan` reads them.
+        Corners in the map's frame [m], z up; :func:`segloc.tools.io.meshes.read_plan` reads them.
         Triangles with corners that are not finite are left out.
     config : BuildConfig, optional
         Or a :class:`segloc.Config`, which is one; by default that of the default method. The voxel

@@ -526,7 +526,7 @@ class SegmentMap:
         MissingDependency
             If matplotlib is not installed.
         """
-        from ..inspect.plots import plot_map
+        from ..tools.inspect.plots import plot_map
 
         return plot_map(self, axes)
 
