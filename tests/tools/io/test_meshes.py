@@ -114,3 +114,63 @@ def test_too_many_triangles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("segloc.tools.io.meshes.MAX_TRIANGLES", 10)
     with pytest.raises(DatasetError, match="leave out furniture"):
         read_plan(written(tmp_path, ".stl"))
+
+
+def ifc(path: Path) -> None:
+    """A wall of 8 x 0.2 x 3 m with a doorway and its door, a cupboard, and a space; millimetres."""
+    ifcopenshell = pytest.importorskip("ifcopenshell")
+    model = ifcopenshell.file(schema="IFC4")
+    new = model.create_entity
+
+    def placed(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> object:
+        return new("IfcAxis2Placement3D", new("IfcCartesianPoint", (x, y, z)))
+
+    unit = new("IfcSIUnit", None, "LENGTHUNIT", "MILLI", "METRE")
+    context = new("IfcGeometricRepresentationContext", None, "Model", 3, 1e-5, placed())
+    new("IfcProject", "0" * 22, Name="p", RepresentationContexts=[context], UnitsInContext=new(
+        "IfcUnitAssignment", [unit]
+    ))  # fmt: skip
+
+    def element(kind: str, at: tuple[float, ...], size: tuple[float, ...]) -> object:
+        middle = new("IfcAxis2Placement2D", new("IfcCartesianPoint", (size[0] / 2, size[1] / 2)))
+        profile = new("IfcRectangleProfileDef", "AREA", None, middle, size[0], size[1])
+        up = new("IfcDirection", (0.0, 0.0, 1.0))
+        solid = new("IfcExtrudedAreaSolid", profile, placed(), up, size[2])
+        shape = new("IfcShapeRepresentation", context, "Body", "SweptSolid", [solid])
+        made = new("IfcProductDefinitionShape", None, None, [shape])
+        name = f"{kind:_<22}"[:22]
+        where = new("IfcLocalPlacement", None, placed(*at))
+        return new(kind, name, ObjectPlacement=where, Representation=made)
+
+    wall = element("IfcWallStandardCase", (0.0, 0.0, 0.0), (8000.0, 200.0, 3000.0))
+    hole = element("IfcOpeningElement", (3000.0, -100.0, 0.0), (1000.0, 400.0, 2100.0))
+    new("IfcRelVoidsElement", "1" * 22, RelatingBuildingElement=wall, RelatedOpeningElement=hole)
+    element("IfcDoor", (3000.0, 0.0, 0.0), (1000.0, 50.0, 2100.0))
+    element("IfcFurniture", (5000.0, 200.0, 0.0), (1000.0, 500.0, 2000.0))
+    element("IfcSpace", (0.0, 200.0, 0.0), (8000.0, 5000.0, 3000.0))
+    model.write(str(path))
+
+
+def test_ifc_by_class(tmp_path: Path) -> None:
+    path = tmp_path / "plan.ifc"
+    ifc(path)
+    wall = read_plan(path)
+    np.testing.assert_allclose(np.ptp(wall.reshape(-1, 3), axis=0), [8, 0.2, 3], atol=1e-6)
+    area = np.linalg.norm(np.cross(wall[:, 1] - wall[:, 0], wall[:, 2] - wall[:, 0]), axis=1) / 2
+    assert area.sum() == pytest.approx(2 * (24 - 2.1) + 2 * 3 * 0.2 + 2 * 8 * 0.2 + 2 * 2.1 * 0.2)
+    assert len(read_plan(path, classes=["IfcDoor"])) == 12
+    assert len(read_plan(path, classes=["IfcWall", "IfcDoor"])) == len(wall) + 12
+    with pytest.raises(ConfigError, match="'IfcChair' is no class of IFC4"):
+        read_plan(path, classes=["IfcChair"])
+    with pytest.raises(DatasetError, match="no element of the classes IfcColumn"):
+        read_plan(path, classes=["IfcColumn"])
+    with pytest.raises(ConfigError, match="omit --unit"):
+        read_plan(path, unit="mm")
+
+
+@pytest.mark.parametrize("data", [b"", b"ISO-10303-21;\nHEADER;", b"\0" * 100])
+def test_damaged_ifc_files(data: bytes, tmp_path: Path) -> None:
+    pytest.importorskip("ifcopenshell")
+    (tmp_path / "plan.ifc").write_bytes(data)
+    with pytest.raises(DatasetError, match=r"plan\.ifc: "):
+        read_plan(tmp_path / "plan.ifc")
