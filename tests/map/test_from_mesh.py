@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.storey import box, furnished, scan_in, storey
+from samples.storey import box, furnished, scan_in, storey, write_stl
 from samples.walk import run
 
 from segloc import (
@@ -161,10 +161,8 @@ def test_broken_triangles_are_left_out_with_a_note(plan: Float64) -> None:
 
 
 def test_the_command(tmp_path: Path, plan: Float64, capsys: pytest.CaptureFixture[str]) -> None:
-    trimesh = pytest.importorskip("trimesh")
-    corners = 1000 * plan.reshape(-1, 3)
-    mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-    mesh.export(tmp_path / "plan.stl")
+    pytest.importorskip("trimesh")
+    write_stl(tmp_path / "plan.stl", 1000 * plan)
     out = tmp_path / "plan.segmap"
     assert run("map", "from-mesh", tmp_path / "plan.stl", "--out", out) == 1
     assert "pass --unit" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -67,6 +68,13 @@ def storey(seed: int = 0) -> Float64:
     for x, y in rng.uniform([2, 0.5], [22, 3.5], (3, 2)):
         parts.append(box((x, y, 0), (x + 0.4, y + 0.4, HIGH_M)))
     return np.concatenate(parts)
+
+
+def write_stl(path: Path, triangles: Float64) -> None:
+    """Write a binary STL file."""
+    rows = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("at", "<f4", 9), ("more", "<u2")])
+    rows["at"] = triangles.reshape(-1, 9)
+    path.write_bytes(bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes())
 
 
 def furnished(plan: Float64, seed: int) -> Float64:

@@ -62,7 +62,8 @@ class Plan:
 
         def kept(triangles: Float64) -> Float64:
             pieces = _pieces(triangles)
-            return pieces[pieces.mean(axis=1)[:, :2] @ direction < middle]
+            near: Float64 = pieces[pieces.mean(axis=1)[:, :2] @ direction < middle]
+            return near
 
         return self._each(kept)
 
