@@ -143,6 +143,17 @@ def normals(
     points: NDArray[np.float32], max_correspondence_distance: float, support: float
 ) -> NDArray[np.float64]: ...
 
+class MeshRays:
+    def __init__(self, triangles: NDArray[np.float32]) -> None: ...
+    def __len__(self) -> int: ...
+    def cast(
+        self,
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        max_range: float,
+        threads: int = 0,
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32]]: ...
+
 class Surface:
     def __init__(
         self,

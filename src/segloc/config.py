@@ -14,6 +14,7 @@ from . import descriptors
 from .errors import ConfigError, MapMismatch
 from .likelihood import VerificationConfig, shipped_model
 from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
+from .map.info import plan_tolerance_m
 from .map.segment_map import SegmentMap
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
@@ -97,8 +98,17 @@ class Config(BuildConfig):
 
 
 def map_config(prior_map: SegmentMap) -> Config:
-    """Return the configuration of a map, except threads and the sensor's mount."""
-    return stored_config(prior_map, Config)
+    """Return the configuration of a map, except threads and the sensor's mount.
+
+    In the map of a plan points of walls may be farther off, by twice the tolerance of the plan.
+    """
+    config = stored_config(prior_map, Config)
+    tolerance = plan_tolerance_m(prior_map.metadata)
+    if not tolerance:
+        return config
+    offset = config.verification.flush_offset + 2 * tolerance
+    verification = config.verification.model_copy(update={"flush_offset": offset})
+    return config.model_copy(update={"verification": verification})
 
 
 def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:
@@ -124,6 +134,11 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     built = map_config(prior_map)
     config = config or built
     notes = []
+    if plan_tolerance_m(prior_map.metadata) is not None:
+        notes.append(
+            "the map was made from a plan (experimental), so single scans find less: accumulate "
+            "scans, or pass a prior"
+        )
     if changed := differences(_shared(config), _shared(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
     fitted = _merged(dict(shipped_model().settings), dict(descriptors.preset(config.method)))

@@ -25,6 +25,7 @@ from .info import (
     GROUND,
     LATTICE,
     NO_GROUND,
+    PLAN,
     SOURCE,
     VIEWPOINTS,
     MapInfo,
@@ -302,10 +303,10 @@ class SegmentMap:
     def is_driven(self) -> NDArray[np.bool_]:
         """Mask of the poses of the trajectory that a sensor had, (V,).
 
-        Viewpoints chosen in a finished cloud are none; their rotation is the identity.
+        Viewpoints chosen in a finished cloud or a plan are none; their rotation is the identity.
         """
-        rotations = self.trajectory[:, :3, :3]
-        if CLOUD not in self.metadata.get(SOURCE, ""):
+        rotations, source = self.trajectory[:, :3, :3], self.metadata.get(SOURCE, "")
+        if CLOUD not in source and PLAN not in source:
             return np.ones(len(rotations), dtype=bool)
         turned: NDArray[np.bool_] = (rotations != np.eye(3)).any(axis=(1, 2))
         return turned
