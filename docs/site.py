@@ -18,18 +18,18 @@ import typer
 from pydantic import BaseModel
 
 import segloc
-from segloc.batch import score
-from segloc.cli import app
 from segloc.config import Config
 from segloc.descriptors import weightfile
-from segloc.export.formats import FORMATS
 from segloc.likelihood.model import Model
 from segloc.live import core, replay
 from segloc.live.core import StateReason
 from segloc.localization import Explained, Reason
-from segloc.loops import summary
 from segloc.map import file as mapfile
 from segloc.tiles.index import Tile, TileIndex
+from segloc.tools.batch import score
+from segloc.tools.cli import app
+from segloc.tools.export.formats import FORMATS
+from segloc.tools.inspect import alignment
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "build" / "site" / "pages"
@@ -182,7 +182,7 @@ TABLES: dict[str, tuple[tuple[str, ...], list[tuple[str, ...]]]] = {
     "localize summary": (_KEY, _keys(score.SUMMARY)),
     "live states": (_KEY, _keys(core.RECORD)),
     "live summary": (_KEY, _keys(replay.SUMMARY)),
-    "loops": (_KEY, _keys(summary.RECORD)),
+    "loops": (_KEY, _keys(alignment.RECORD)),
     "export formats": (
         ("format", "source", "output"),
         [(f"`{name}`", kind.required, kind.text) for name, kind in FORMATS.items()],

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry
-from segloc.io import Trajectory, write_tum
+from segloc.tools.io import Trajectory, write_tum
 from segloc.types import Float64
 
 ROOT = Path(__file__).resolve().parents[1]

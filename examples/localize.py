@@ -12,7 +12,7 @@ from segloc import Config, Localizer, build_map
 
 def main() -> None:
     # Two drives through one town; on the second, other cars are parked and a tenth of the things
-    # are others. With recordings of your own: segloc.datasets.open_sequence(path, poses).
+    # are others. With recordings of your own: segloc.tools.datasets.open_sequence(path, poses).
     first, second = simulate_sessions(
         town(7, size_m=150.0), hdl64e(600), [Conditions(), Conditions(replaced=0.1)], length_m=80.0
     )

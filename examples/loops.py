@@ -11,8 +11,8 @@ import numpy as np
 from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 
 from segloc import LoopDetector, geometry
-from segloc.io.g2o import PoseEdges, format_g2o
 from segloc.motion import odometry_covariance
+from segloc.tools.io.g2o import PoseEdges, format_g2o
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 from typing import Any
@@ -12,7 +13,7 @@ from samples.plaza import Plaza, PlazaSequence
 
 import segloc
 from segloc import Config, Localizer, MissingDependency, NotLocalized, SegmentMap, build_map
-from segloc.doctor import hint
+from segloc.tools.doctor import hint
 
 CONFIG = Config(threads=1)
 
@@ -108,3 +109,11 @@ def test_why_queries_fail_is_found_from_scans_in_memory(localizer: Localizer, po
     camera = points[:, [1, 2, 0]] * [-1, -1, 1]
     output = hint([camera], [localizer.localize(camera)])
     assert output is not None and "a camera's (x right, y down, z forward)" in output
+
+
+def test_moved_modules_have_their_old_names_for_a_version() -> None:
+    with pytest.warns(DeprecationWarning, match=r"^segloc\.io(\.ply|) is segloc\.tools\.io\1;"):
+        found = importlib.import_module("segloc.io.ply")
+    assert found is importlib.import_module("segloc.tools.io.ply")
+    with pytest.raises(ModuleNotFoundError, match=r"segloc\.tools\.io\.none"):
+        importlib.import_module("segloc.io.none")

@@ -1,7 +1,11 @@
-"""Rooms import downwards only: read from the source, with imports in functions and for types."""
+"""Rooms import downwards only: read from the source, with imports in functions and for types.
+
+What a robot loads imports nothing of ``tools``, which is around it, but for named conveniences.
+"""
 
 from __future__ import annotations
 
+import ast
 import functools
 import sys
 from collections.abc import Iterator
@@ -10,12 +14,15 @@ from samples.source import PROJECT, ROOT, Package
 
 LAYERS = (
     "__main__",
-    "cli",
+    "tools.cli",
+    "tools.batch tools.export",
+    "tools.inspect tools.doctor",
+    "tools.datasets",
+    "tools.io",
+    "tools",
     ROOT,
-    "mapping robot",
-    "batch live loops export",
-    "inspect doctor sample",
-    "datasets",
+    "mapping robot sample",
+    "live loops",
     "tracker",
     "tracking",
     "tiles",
@@ -28,7 +35,6 @@ LAYERS = (
     "map",
     "descriptors",
     "frontend",
-    "io",
     "scan_odometry",
     "localization prior motion",
     "geometry",
@@ -38,36 +44,52 @@ LAYERS = (
 )
 """Top to bottom. A room imports rooms of lower layers, and none of its own layer."""
 
-ONLY = {"io": {"motion", "geometry", "types", "system", "errors", "_native"}}
-ONLY["datasets"] = ONLY["io"] | {"io", "scan_odometry"}
-ONLY["sample"] = ONLY["io"] | {"datasets"}
+ONLY = {"tools.io": {"motion", "geometry", "types", "system", "errors", "_native"}}
+ONLY["tools.datasets"] = ONLY["tools.io"] | {"tools.io", "scan_odometry"}
+ONLY["sample"] = ONLY["tools.io"]
 """Rooms that import no others than these: recordings know nothing of the method."""
 
 CONVENIENCES = {
-    "map.segment_map": {"mapping", "map.from_cloud", "map.config", "inspect.plots"},
-    "localization": {"inspect.plots"},
+    ROOT: {"tools.datasets"},
+    "robot": {
+        "tools.batch.run",
+        "tools.datasets.clocks",
+        "tools.datasets.fixes",
+        "tools.datasets.gravity",
+        "tools.datasets.ros.bag_messages",
+        "tools.datasets.ros.bag_tf",
+        "tools.datasets.ros.pointcloud2",
+        "tools.doctor.finding",
+        "tools.doctor.scan_faults",
+        "tools.io.clouds",
+        "tools.io.point_times",
+    },
+    "mapping": {"tools.doctor"},
+    "sample": {"tools.datasets.recorded"},
+    "map.segment_map": {"mapping", "map.from_cloud", "map.config", "tools.inspect.plots"},
+    "localization": {"tools.inspect.plots"},
 }
-"""What methods such as ``SegmentMap.from_scans`` import from above when they are called."""
+"""What promised names such as ``SegmentMap.from_scans`` import from above on first use."""
 
 PACKAGES = {
     "numpy": "*",
     "scipy": "*",
     "pydantic": "*",
     "yaml": "config map system",
-    "laspy": "io",
-    "lazrs": "io",
-    "e57": "io",
-    "rosbags": "datasets.ros",
-    "lz4": "datasets.ros",
-    "velodyne_decoder": "datasets.packets",
+    "laspy": "tools.io",
+    "lazrs": "tools.io",
+    "e57": "tools.io",
+    "rosbags": "tools.datasets.ros",
+    "lz4": "tools.datasets.ros",
+    "velodyne_decoder": "tools.datasets.packets",
     "kiss_icp": "scan_odometry",
-    "matplotlib": "inspect batch localization map.segment_map",
-    "viser": "inspect",
+    "matplotlib": "tools.inspect tools.batch localization map.segment_map",
+    "viser": "tools.inspect",
     "fsspec": "tiles",
     "pyproj": "map.georeference",
     "distributed": "system.processes",
-    "typer": "cli",
-    "rich": "cli",
+    "typer": "tools.cli",
+    "rich": "tools.cli",
 }
 """Where packages of others are imported. The laboratory's are in none of these rooms."""
 
@@ -85,7 +107,8 @@ HEIGHT = {room: height for height, layer in enumerate(LAYERS) for room in layer.
 
 
 def room_of(module: str) -> str:
-    room = module.split(".")[0]
+    parts = module.split(".")
+    room = ".".join(parts[: 2 if parts[0] == "tools" else 1])
     assert room in HEIGHT, f"{module}: give its room a place in LAYERS"
     return room
 
@@ -109,6 +132,17 @@ def test_imports_go_downwards() -> None:
         if not target.startswith("!") and not allowed(importer, target)
     ]
     assert not wrong, "\n".join(["imports that do not go downwards:", *wrong])
+
+
+def test_the_core_imports_tools_on_use_only() -> None:
+    wrong = [
+        f"{name}: line {node.lineno}"
+        for name, path in sorted(package().files.items())
+        if not name.startswith(("tools", "__main__"))
+        for node in ast.parse(path.read_text("utf-8")).body
+        if isinstance(node, ast.ImportFrom) and "tools" in (node.module or "").split(".")
+    ]
+    assert not wrong, "\n".join(["tools that are loaded with the core:", *wrong])
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:

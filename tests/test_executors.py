@@ -15,9 +15,9 @@ from samples.plaza import Plaza
 from segloc import Config
 from segloc.errors import ConfigError, SeglocError
 from segloc.loops import AlignConfig, Alignment, align_sessions
-from segloc.loops.summary import loops_jsonl
 from segloc.map.build import build_merged_map
 from segloc.system.processes import all_of
+from segloc.tools.inspect.alignment import loops_jsonl
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 

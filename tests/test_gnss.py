@@ -12,16 +12,16 @@ from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch.run import LONGEST_GAP_S, gnss_priors, localize_sequence
-from segloc.datasets.fixes import Fixes, read_fixes
 from segloc.errors import ConfigError, DatasetError, MapFormatError, MapMismatch, MissingDependency
-from segloc.export import export
-from segloc.export.formats import Options
 from segloc.joining.same_place import check_same_place
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.georeference import KEY, Georeference
 from segloc.map.segment_map import along
 from segloc.tiles import TiledMap, cut_tiles
+from segloc.tools.batch.run import LONGEST_GAP_S, gnss_priors, localize_sequence
+from segloc.tools.datasets.fixes import Fixes, read_fixes
+from segloc.tools.export import export
+from segloc.tools.export.formats import Options
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 HERE = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))

@@ -10,7 +10,7 @@ from samples.maps import occupancy, repeated
 from samples.plaza import Plaza
 
 from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, geometry
-from segloc.cli.options import parsed_prior
+from segloc.tools.cli.options import parsed_prior
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 AWAY = np.array([300.0, 40.0, 0.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from segloc import DatasetError, sample
-from segloc.datasets.recorded import parse_select
+from segloc.tools.datasets.recorded import parse_select
 
 POINTS = "cac3cfa848c5d204fb3c2bc9a575f85fe15179057b31d99edce1a6b1e5f7015c"
 

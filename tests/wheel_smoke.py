@@ -28,7 +28,7 @@ from segloc import (
     sample,
 )
 from segloc.descriptors import create
-from segloc.io import read_scan, write_scan
+from segloc.tools.io import read_scan, write_scan
 
 METHODS = ("profile", "geo", "dsm", "dsm-fq", "esm")
 WITH_EXPERIMENTS = ("segmap", "segmatch-eigen", "segmatch-esf", "nsm")

@@ -50,11 +50,13 @@ KnownSpace::Image KnownSpace::image(std::size_t viewpoint) const {
     }
   }
   const double* at = &viewpoints_[3 * viewpoint];
-  RangeImage seen(options_.bin_deg);
+  std::vector<float> rays;
   map_.visit(at[0], at[1], options_.range, [&](const PointGrid::Point& p) {
     const auto ray = from(at, p.data());
-    if (norm(ray.data()) <= options_.range) seen.add(ray.data(), options_.half_width);
+    rays.insert(rays.end(), ray.begin(), ray.end());
   });
+  RangeImage seen(options_.bin_deg);
+  seen.add(rays.data(), rays.size() / 3, options_.half_width, static_cast<float>(options_.range));
   Image made = std::make_shared<const FreeSpace>(seen);
   const std::lock_guard<std::mutex> lock(mutex_);
   if (kept_.find(viewpoint) == kept_.end()) {

@@ -43,7 +43,9 @@ RangeImage::RangeImage(double bin_deg)
             static_cast<int>(std::lround(180.0 / bin_deg)) + 1},
       nearest_(static_cast<std::size_t>(grid_.columns) * grid_.rows, kFar) {}
 
-void RangeImage::add(const float* points, std::size_t count) {
+void RangeImage::add(const float* points, std::size_t count, double half_width, float farthest) {
+  // Points farther away are no wider than a pixel.
+  const auto wide = static_cast<float>(2.0 * half_width * kDegrees / grid_.bin_deg);
   std::array<std::int32_t, kChunk> pixels;
   std::array<float, kChunk> ranges;
   for (std::size_t begin = 0; begin < count; begin += kChunk) {
@@ -51,26 +53,32 @@ void RangeImage::add(const float* points, std::size_t count) {
     const float* chunk = points + 3 * begin;
     best_kernels().range_pixels(chunk, few, grid_, pixels.data(), ranges.data());
     for (std::size_t i = 0; i < few; ++i) {
-      const auto pixel = static_cast<std::size_t>(pixels[i]);
-      float& nearest = nearest_[pixels[i] < 0 ? exact_pixel(chunk + 3 * i) : pixel];
-      nearest = std::min(nearest, ranges[i]);
+      if (ranges[i] > farthest) continue;
+      const float* point = chunk + 3 * i;
+      const std::size_t pixel =
+          pixels[i] < 0 ? exact_pixel(point) : static_cast<std::size_t>(pixels[i]);
+      if (ranges[i] < wide) {
+        widen(point, pixel, half_width);
+      } else {
+        nearest_[pixel] = std::min(nearest_[pixel], ranges[i]);
+      }
     }
   }
 }
 
-void RangeImage::add(const float* point, double half_width) {
+void RangeImage::widen(const float* point, std::size_t pixel, double half_width) {
   const double range = std::max(std::sqrt(range_squared(point)), kNearest);
   const int up = static_cast<int>(half_width / range * kDegrees / grid_.bin_deg + 0.5);
-  const double level = std::max(std::hypot(point[0], point[1]) / range, kSteepest);
+  const double x = point[0], y = point[1];
+  const double level = std::max(std::sqrt(x * x + y * y) / range, kSteepest);
   const int aside = std::min(static_cast<int>(std::ceil(up / level)), grid_.columns / 2);
-  const std::size_t pixel = at(point);
   const int middle = static_cast<int>(pixel) / grid_.rows;
   const int row = static_cast<int>(pixel) % grid_.rows;
-  for (int dc = -aside; dc <= aside; ++dc) {
-    float* of = column(middle + dc);
-    for (int r = std::max(row - up, 0); r <= std::min(row + up, grid_.rows - 1); ++r) {
-      of[r] = std::min(of[r], static_cast<float>(range));
-    }
+  const int low = std::max(row - up, 0), high = std::min(row + up, grid_.rows - 1);
+  const auto nearest = static_cast<float>(range);
+  for (int c = middle - aside; c <= middle + aside; ++c) {
+    float* of = column(c);
+    for (int r = low; r <= high; ++r) of[r] = std::min(of[r], nearest);
   }
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -17,9 +18,9 @@ namespace segloc {
 class RangeImage {
  public:
   explicit RangeImage(double bin_deg);
-  void add(const float* points, std::size_t count);
-  // A point that stands for all within `half_width` metres of it.
-  void add(const float* point, double half_width);
+  // Points up to `farthest` metres away; each stands for all within `half_width` metres of it.
+  void add(const float* points, std::size_t count, double half_width = 0.0,
+           float farthest = std::numeric_limits<float>::infinity());
   // The least of each pixel and the eight about it.
   RangeImage eroded() const;
   std::size_t at(const float* point) const;
@@ -27,9 +28,10 @@ class RangeImage {
 
  private:
   std::size_t exact_pixel(const float* point) const;
+  void widen(const float* point, std::size_t pixel, double half_width);
   // Its first pixel; columns go around.
   const float* column(int c) const {
-    const int turned = (c + grid_.columns) % grid_.columns;
+    const int turned = c < 0 ? c + grid_.columns : c < grid_.columns ? c : c - grid_.columns;
     return &nearest_[static_cast<std::size_t>(turned) * grid_.rows];
   }
   float* column(int c) { return const_cast<float*>(std::as_const(*this).column(c)); }

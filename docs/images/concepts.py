@@ -23,9 +23,9 @@ from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc.frontend.segmentation import Segmentation
-from segloc.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
 from segloc.likelihood import ScoredPose
 from segloc.pipeline import Query as Described
+from segloc.tools.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
 from segloc.types import Candidate, Matches
 
 Floats = NDArray[np.float64]

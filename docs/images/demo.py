@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from segloc.cli.demo import demo
+from segloc.tools.cli.demo import demo
 
 KEPT = {"trajectory.png": "demo.png", "errors.png": "demo_errors.png"}
 KEY = "Description"

@@ -18,9 +18,9 @@ from PIL import Image
 
 from segloc import Config, Localizer, build_map, geometry, sample
 from segloc.frontend.local_cloud import Accumulator
-from segloc.inspect import Trace, trace
-from segloc.inspect.pictures import DARK, GREEN, GREY, PATH, blank, hue, png, rgb
 from segloc.map.segment_map import SegmentMap
+from segloc.tools.inspect import Trace, trace
+from segloc.tools.inspect.pictures import DARK, GREEN, GREY, PATH, blank, hue, png, rgb
 
 QUERY = 4
 LIFTED_M, ELEVATION_DEG, AZIMUTH_DEG = 38.0, 32.0, 68.0

@@ -18,7 +18,7 @@ from segloc_lab.simulation import SCENES, SENSORS, Conditions, LineLidar, Simula
 from segloc_lab.simulation.drives import simulate_sessions
 from segloc_lab.swathes import swathes
 
-from segloc.inspect.pictures import RED
+from segloc.tools.inspect.pictures import RED
 from segloc.types import Float32, Float64
 
 WORLDS = {"town": 3, "park": 5, "meadow": 2, "forest": 1, "industrial": 4}

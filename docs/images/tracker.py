@@ -16,8 +16,9 @@ from PIL import Image
 from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town, vlp16
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.datasets.recorded import parse_select
-from segloc.inspect.pictures import (
+from segloc.map.segment_map import SegmentMap
+from segloc.tools.datasets.recorded import parse_select
+from segloc.tools.inspect.pictures import (
     BLUE,
     DARK,
     GREEN,
@@ -31,7 +32,6 @@ from segloc.inspect.pictures import (
     png,
     scale,
 )
-from segloc.map.segment_map import SegmentMap
 from segloc.tracker import Track, Tracker, TrackerConfig
 from segloc.tracking.belief import Status
 from segloc.types import Float32, Float64, Pose

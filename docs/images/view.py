@@ -15,12 +15,12 @@ from PIL import Image
 from samples.browser import Page, browser
 
 from segloc import Config, Localizer, build_map, sample
-from segloc.batch.report import sentence
-from segloc.cli.sample import TUESDAY_STEP
 from segloc.frontend.local_cloud import Accumulator
-from segloc.inspect import trace, viewer
-from segloc.inspect.results import Shown, stages_of
 from segloc.map.segment_map import SegmentMap
+from segloc.tools.batch.report import sentence
+from segloc.tools.cli.sample import TUESDAY_STEP
+from segloc.tools.inspect import trace, viewer
+from segloc.tools.inspect.results import Shown, stages_of
 
 QUERY = 18
 COLOURS = 128

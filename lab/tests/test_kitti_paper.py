@@ -14,7 +14,7 @@ from segloc_lab.report import mcnemar, share
 from segloc_lab.studies import kitti_paper as protocol
 from segloc_lab.studies.kitti_paper import ESTIMATORS, VERIFIED
 
-from segloc.batch.score import distances_to_path
+from segloc.tools.batch.score import distances_to_path
 
 
 def test_mcnemar_is_the_binomial_test_of_those_that_differ() -> None:
@@ -107,7 +107,7 @@ def test_tables_are_made_of_the_answers_that_a_folder_has(tmp_path: Path) -> Non
         assert set(answers["neighbours"]) == set(ESTIMATORS)
         assert set(protocol.outcomes_of(answers)) == {*ESTIMATORS, *VERIFIED}
         assert all(letters == "++" for letters in protocol.outcomes_of(answers).values())
-    import_module("segloc.cli")  # first: it loads the verbs that others add
+    import_module("segloc.tools.cli")  # first: it loads the verbs that others add
     from segloc_lab.cli.evaluate import kitti_paper
 
     kitti_paper(out=tmp_path, stored=True, report=tmp_path / "report")

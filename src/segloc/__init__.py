@@ -60,10 +60,10 @@ from .errors import (
     WeightsError,
 )
 from .system import lazy
+from .system.moved import alias
 
 if TYPE_CHECKING:
     from .config import Config
-    from .datasets import open_sequence
     from .frontend.rolling_cloud import RollingCloud
     from .geometry import ros_covariance
     from .joining.update import update_map
@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from .map.segment_map import SegmentMap
     from .mapping import build_map
     from .prior import Prior
+    from .tools.datasets import open_sequence
     from .tracker import Tracker
     from .types import LocalCloud, MemoryRecording, Recording, Scan
 else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
@@ -81,7 +82,6 @@ else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
         __name__,
         {
             "config": "Config",
-            "datasets": "open_sequence",
             "frontend.rolling_cloud": "RollingCloud",
             "geometry": "ros_covariance",
             "joining.update": "update_map",
@@ -92,10 +92,14 @@ else:  # NumPy, SciPy and Pydantic take a second to import on a slow machine
             "map.segment_map": "SegmentMap",
             "mapping": "build_map",
             "prior": "Prior",
+            "tools.datasets": "open_sequence",
             "tracker": "Tracker",
             "types": "LocalCloud MemoryRecording Recording Scan",
         },
     )
+
+_MOVED = ("batch", "cli", "datasets", "doctor", "export", "inspect", "io")
+alias({f"{__name__}.{room}": f"{__name__}.tools.{room}" for room in _MOVED})
 
 __all__ = [
     "Config",

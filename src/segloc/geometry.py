@@ -30,9 +30,10 @@ FLAT_M = 0.005
 
 def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
     """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
-    T = np.eye(4)
+    T = np.zeros((4, 4))
     T[:3, :3] = R
     T[:3, 3] = t
+    T[3, 3] = 1.0
     return T
 
 

@@ -234,7 +234,7 @@ class _Answer:
         MissingDependency
             If matplotlib is not installed.
         """
-        from .inspect.plots import plot_result
+        from .tools.inspect.plots import plot_result
 
         answer: Any = self  # one of the two that this is the base of
         return plot_result(answer, prior_map, axes)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from numpy.typing import ArrayLike
 
-from .doctor import require_mappable
 from .map import build
 from .map.config import BuildConfig, checked_build_config
 from .map.segment_map import SegmentMap
@@ -55,6 +54,8 @@ def build_map(
     """
     recording = as_recording(scans, poses)
     if check and recording.poses is not None:
+        from .tools.doctor import require_mappable
+
         where = checked_build_config(config).local_cloud
         require_mappable(recording, where, recording.name, "check=False")
     return build.build_map(recording, config, every_m=every_m, progress=progress)

@@ -30,35 +30,48 @@ Settings and types
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import geometry
-from .batch.run import gnss_priors
 from .config import map_config
-from .datasets.clocks import StreamTimes
-from .datasets.fixes import Fixes
-from .datasets.gravity import HALF_WINDOW_S as GRAVITY_HALF_WINDOW_S
-from .datasets.gravity import gravity_of
-from .datasets.ros.bag_messages import livox_scan
-from .datasets.ros.bag_tf import frame_name
-from .datasets.ros.pointcloud2 import to_scan as scan_of_pointcloud2
-from .doctor.finding import Fault, Finding
-from .doctor.scan_faults import scan_findings
 from .errors import ConfigError
-from .io.clouds import cloud_files, cloud_sources, read_cloud
-from .io.point_times import unread_times
 from .map.georeference import Georeference
 from .map.segment_map import SegmentMap
 from .motion import interpolated, times_fit
 from .pipeline import Search
 from .prior import Prior
 from .proposals.proposer import Query
+from .system import lazy
 from .system.checks import checked_pose
 from .system.files import is_cloud
 from .system.section import Section
 from .types import Float32, Float64, Int64, Pose, Scan
+
+if TYPE_CHECKING:
+    from .tools.datasets.clocks import StreamTimes
+    from .tools.datasets.gravity import GRAVITY_HALF_WINDOW_S, gravity_of
+    from .tools.datasets.ros.bag_tf import frame_name
+    from .tools.datasets.ros.pointcloud2 import scan_of_pointcloud2
+    from .tools.doctor.finding import Fault, Finding
+    from .tools.doctor.scan_faults import scan_findings
+    from .tools.io.clouds import cloud_files, cloud_sources, read_cloud
+    from .tools.io.point_times import unread_times
+else:
+    __getattr__, __dir__ = lazy(
+        __name__,
+        {
+            "tools.datasets.clocks": "StreamTimes",
+            "tools.datasets.gravity": "GRAVITY_HALF_WINDOW_S gravity_of",
+            "tools.datasets.ros.bag_tf": "frame_name",
+            "tools.datasets.ros.pointcloud2": "scan_of_pointcloud2",
+            "tools.doctor.finding": "Fault Finding",
+            "tools.doctor.scan_faults": "scan_findings",
+            "tools.io.clouds": "cloud_files cloud_sources read_cloud",
+            "tools.io.point_times": "unread_times",
+        },
+    )
 
 __all__ = [
     "GRAVITY_HALF_WINDOW_S",
@@ -104,6 +117,8 @@ def scan_of_livox(data: bytes) -> Scan:
     DatasetError
         If it is shorter than its declared size.
     """
+    from .tools.datasets.ros.bag_messages import livox_scan
+
     return livox_scan(data, cdr=True)
 
 
@@ -126,6 +141,9 @@ def prior_of_fix(prior_map: SegmentMap, fix: Any, stamp: float, least_m: float) 
     MissingDependency
         If pyproj is not installed.
     """
+    from .tools.batch.run import gnss_priors
+    from .tools.datasets.fixes import Fixes
+
     georeference = Georeference.of(prior_map.metadata)
     if georeference is None:
         raise ConfigError("the map is not georeferenced: build it with --epsg and --origin")

@@ -10,11 +10,11 @@ from samples.plaza import Plaza, PlazaSequence
 from typer.testing import CliRunner
 
 from segloc import Localizer, MapMismatch, SegmentMap
-from segloc.cli import app
 from segloc.descriptors import create
 from segloc.descriptors.weightfile import read_weights, shipped_weights, write_weights
-from segloc.io import Trajectory, write_tum
-from segloc.io.scans import write_scan
+from segloc.tools.cli import app
+from segloc.tools.io import Trajectory, write_tum
+from segloc.tools.io.scans import write_scan
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from samples.source import PROJECT
 from samples.walk import run
 
 from segloc import SegmentMap
-from segloc.io import Trajectory, write_kitti, write_scan, write_tum
+from segloc.tools.io import Trajectory, write_kitti, write_scan, write_tum
 from segloc.types import Float64
 
 PAGE = PROJECT / "docs" / "how-to" / "one_cloud.md"

@@ -33,7 +33,7 @@ NOT_RUN = {
     r"(lab/src/)\S+\.sh": LABORATORY,
     r"segloc bench": LABORATORY,
     r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in lab/tests",
-    r"segloc localize .*--gnss": "needs a bag with fixes; in tests/cli/test_gnss.py",
+    r"segloc localize .*--gnss": "needs a bag with fixes; in tests/tools/cli/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
     r"segloc .*--report": LABORATORY,
     r"segloc evaluate (all|report|peers)": LABORATORY,
@@ -147,7 +147,7 @@ def _expanded(word: str) -> list[str]:
 @pytest.fixture
 def without_servers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Servers are not started."""
-    from segloc.inspect import viewer
+    from segloc.tools.inspect import viewer
 
     server = types.SimpleNamespace(get_port=lambda: 8080, sleep_forever=lambda: None)
     monkeypatch.setattr(viewer, "serve", lambda *_: server)
@@ -220,7 +220,7 @@ def test_what_measures_is_there() -> None:
 
 def known(place: Path) -> dict[str, Any]:
     """The names that the blocks take as given: a stream of scans, a map, what a robot has."""
-    from segloc.datasets import open_sequence
+    from segloc.tools.datasets import open_sequence
 
     first = walk()
     stream = [Message(points_of(first, k), T) for k, T in enumerate(first.poses)]

@@ -13,11 +13,11 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.source import PROJECT, loaded
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.datasets import formats, open_sequence
-from segloc.datasets.formats import Format
 from segloc.descriptors import available, base, create
-from segloc.io import Trajectory, write_tum
 from segloc.system.plugins import plugins
+from segloc.tools.datasets import formats, open_sequence
+from segloc.tools.datasets.formats import Format
+from segloc.tools.io import Trajectory, write_tum
 
 PAGE = (PROJECT / "docs" / "how-to" / "extend.md").read_text("utf-8")
 FENCED = re.compile(r"^```\w+\n# (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -94,7 +94,7 @@ def plugin_of(text: str) -> tuple[str, str, str]:
 
 
 def test_a_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    yard = written("src/segloc/datasets/loaders/yard.py", tmp_path)
+    yard = written("src/segloc/tools/datasets/loaders/yard.py", tmp_path)
     drive = tmp_path / "drive"
     (drive / "cloud").mkdir(parents=True)
     rng = np.random.default_rng(0)

@@ -11,9 +11,9 @@ import pytest
 import typer
 from samples.source import PROJECT, loaded
 
-from segloc.cli import app
 from segloc.live.core import StateReason
 from segloc.localization import Reason
+from segloc.tools.cli import app
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def site() -> ModuleType:
         (":class:`~segloc.Localizer`", "[`Localizer`][segloc.Localizer]"),
         (":meth:`Localizer.localize`", "[`Localizer.localize`][segloc.Localizer.localize]"),
         (":func:`segloc.open_sequence`", "[`open_sequence`][segloc.open_sequence]"),
-        (":func:`~segloc.datasets.parse_select`", "`parse_select`"),
+        (":func:`~segloc.tools.datasets.parse_select`", "`parse_select`"),
         (":data:`STAGES`", "`STAGES`"),
         (":mod:`.lattice`", "`lattice`"),
     ],

@@ -10,7 +10,7 @@ from samples.source import PROJECT, loaded
 
 @pytest.mark.slow
 def test_each_wrong_input_is_answered_as_the_table_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some of them: tests/doctor has all, without the verbs."""
+    """Some of them: tests/tools/doctor has all, without the verbs."""
     wrong_inputs = loaded(PROJECT / "docs" / "wrong_inputs.py")
     monkeypatch.setattr(wrong_inputs, "WRONG", wrong_inputs.WRONG[1::5])
     table, kept = wrong_inputs.table(), wrong_inputs.kept(wrong_inputs.PAGE.read_text("utf-8"))

@@ -23,8 +23,8 @@ from samples.robotcar import T_sensor_car, write_drive
 from segloc_lab.simulation import Conditions, lms151, simulate_sessions, town
 
 from segloc import geometry
-from segloc.datasets import open_sequence
-from segloc.io import read_trajectory
+from segloc.tools.datasets import open_sequence
+from segloc.tools.io import read_trajectory
 from segloc.types import Float64
 
 LENGTH_M = 110.0

@@ -12,8 +12,8 @@ with instrumented:
     import rosbags.highlevel
     import rosbags.typesys
 
-    from segloc.datasets import open_sequence
-    from segloc.datasets.ros import bag_messages, bags, pointcloud2
+    from segloc.tools.datasets import open_sequence
+    from segloc.tools.datasets.ros import bag_messages, bags, pointcloud2
 import numpy as np
 from samples.bags import BagWriter
 

@@ -11,7 +11,7 @@ with instrumented:
     import rosbags.typesys
     from hostile.opened import read_layout
 
-    from segloc.datasets.ros import bags
+    from segloc.tools.datasets.ros import bags
 
 assert bags
 rosbags.typesys.get_typestore = functools.cache(rosbags.typesys.get_typestore)

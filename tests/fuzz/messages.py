@@ -7,8 +7,8 @@ import json
 from common import Bench, fuzz, instrumented
 
 with instrumented:
-    from segloc.datasets.packets import ouster_packets, velodyne
-    from segloc.datasets.ros import bag_messages, bag_ouster, bags, pointcloud2
+    from segloc.tools.datasets.packets import ouster_packets, velodyne
+    from segloc.tools.datasets.ros import bag_messages, bag_ouster, bags, pointcloud2
 import struct
 
 import numpy as np
@@ -41,8 +41,8 @@ def headers(data: bytes, parse: object) -> None:
 
 
 READERS = (
-    lambda data: pointcloud2.to_scan(message(data, CLOUD, True)),
-    lambda data: pointcloud2.to_scan(message(data, CLOUD, False)),
+    lambda data: pointcloud2.scan_of_pointcloud2(message(data, CLOUD, True)),
+    lambda data: pointcloud2.scan_of_pointcloud2(message(data, CLOUD, False)),
     lambda data: bag_messages.sweep_scan(message(data, LASER, False)),
     lambda data: bag_messages.livox_scan(data, cdr=True),
     lambda data: bag_messages.livox_scan(data, cdr=False),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from common import Bench, fuzz, instrumented
 
 with instrumented:
-    from segloc.io import scans
+    from segloc.tools.io import scans
 import numpy as np
 from samples import io as samples
 

@@ -6,7 +6,7 @@ from common import Bench, fuzz, instrumented
 
 with instrumented:
     from segloc import Config
-    from segloc.datasets.recorded import parse_select
+    from segloc.tools.datasets.recorded import parse_select
 import numpy as np
 
 bench, selections = Bench("config"), Bench("selection")

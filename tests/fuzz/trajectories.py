@@ -5,9 +5,9 @@ from __future__ import annotations
 from common import Bench, fuzz, instrumented
 
 with instrumented:
-    from segloc.datasets import tracks
-    from segloc.datasets.loaders import boreas, helipr, mulran, nclt, newer_college, robotcar
-    from segloc.io.pose_files import read_trajectory
+    from segloc.tools.datasets import tracks
+    from segloc.tools.datasets.loaders import boreas, helipr, mulran, nclt, newer_college, robotcar
+    from segloc.tools.io.pose_files import read_trajectory
 import numpy as np
 
 poses, tables = Bench("trajectory"), Bench("table")

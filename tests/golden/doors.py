@@ -32,14 +32,14 @@ from segloc import (
     update_map,
 )
 from segloc._native import instruction_set
-from segloc.datasets import NO_POSES
-from segloc.doctor import examine
-from segloc.io import read_scan
 from segloc.live import LiveConfig, LiveCore
 from segloc.loops import LoopConfig
 from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.tools.datasets import NO_POSES
+from segloc.tools.doctor import examine
+from segloc.tools.io import read_scan
 from segloc.tracker import TrackerConfig
 
 __all__ = [

@@ -26,7 +26,7 @@ SCANS = 5  # of a recording that are read
 def read_scan(path: Path) -> str:
     import numpy as np
 
-    from segloc.io import read_scan
+    from segloc.tools.io import read_scan
 
     scan = read_scan(path)
     assert np.isfinite(scan.points).all()
@@ -37,9 +37,9 @@ def read_scan(path: Path) -> str:
 def read_sequence(path: Path) -> str:
     import numpy as np
 
-    from segloc.datasets import open_sequence
-    from segloc.datasets.inspection import inspect
     from segloc.errors import SeglocError
+    from segloc.tools.datasets import open_sequence
+    from segloc.tools.datasets.inspection import inspect
 
     recording = open_sequence(path)
     assert recording.poses is None or np.isfinite(recording.poses).all()
@@ -54,7 +54,7 @@ def read_sequence(path: Path) -> str:
 
 
 def read_trajectory(path: Path) -> str:
-    from segloc.io import read_trajectory
+    from segloc.tools.io import read_trajectory
 
     return f"{len(read_trajectory(path))} poses"
 
@@ -196,9 +196,9 @@ def limit_processor_time() -> None:
 
 
 def main(listed: Path, report: TextIO) -> None:
-    import segloc.cli  # what it needs is loaded before the limit counts
+    import segloc.tools.cli  # what it needs is loaded before the limit counts
 
-    assert segloc.cli
+    assert segloc.tools.cli
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     for line in listed.read_text().splitlines():
         name, how, path = json.loads(line)

@@ -13,9 +13,9 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.walk import as_folder, run
 
 from segloc import SegmentMap, geometry
-from segloc.io import Trajectory, write_tum
 from segloc.joining.shift import measure_shift
 from segloc.tiles import TiledMap, localizer_in, merge_into_tiles
+from segloc.tools.io import Trajectory, write_tum
 from segloc.types import Pose, Reposed
 
 pytestmark = pytest.mark.slow

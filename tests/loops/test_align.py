@@ -14,15 +14,15 @@ from samples.walk import as_folder, run
 from segloc_lab.simulation import OdometryNoise
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.datasets import Recording
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import read_trajectory, write_scan
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.loops.align import spread
 from segloc.loops.consistency import supported
 from segloc.loops.growing_map import blocks_of
 from segloc.loops.loops import Chain, Loop
 from segloc.loops.submaps import Session
+from segloc.tools.datasets import Recording
+from segloc.tools.io import read_trajectory, write_scan
 from segloc.types import Float64
 
 pytestmark = pytest.mark.slow

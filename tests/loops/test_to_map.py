@@ -12,8 +12,8 @@ from segloc_lab.simulation import OdometryNoise
 
 from segloc import Config, MapMismatch, Scan, SegmentMap, align_to_map, build_map, geometry, sample
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import read_trajectory
 from segloc.sample import SampleDrive
+from segloc.tools.io import read_trajectory
 from segloc.types import Float64, Reposed
 
 CONFIG = Config(threads=1)

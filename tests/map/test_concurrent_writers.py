@@ -18,7 +18,7 @@ from segloc import SegmentMap
 from segloc.system.files import replacing
 from segloc.system.locks import exclusive
 
-SEGLOC = [sys.executable, "-c", "from segloc.cli import main; main()"]
+SEGLOC = [sys.executable, "-c", "from segloc.tools.cli import main; main()"]
 HOLD = """
 import sys, time
 from segloc.system.locks import exclusive

@@ -23,7 +23,11 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="faults are made with Linux' means"),
 ]
 
-SEGLOC = [sys.executable, "-c", "from segloc.cli import main; print('up', flush=True); main()"]
+SEGLOC = [
+    sys.executable,
+    "-c",
+    "from segloc.tools.cli import main; print('up', flush=True); main()",
+]
 
 
 def segloc(
@@ -106,7 +110,7 @@ def watch(event, given):
         time.sleep(0.1)
 
 sys.addaudithook(watch)
-from segloc.cli import main
+from segloc.tools.cli import main
 main()
 """
 """The command line, which reports its first write and waits there."""

@@ -14,14 +14,14 @@ from samples.walk import run
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
-from segloc.cli.map_info import show
-from segloc.io import Trajectory, write_tum
 from segloc.likelihood import shipped_model
 from segloc.map import voxel_cloud
 from segloc.map.corridors import between_surfaces
 from segloc.map.from_cloud import ThinCloud
 from segloc.map.georeference import Georeference
 from segloc.map.viewpoints import Occluders, Sight
+from segloc.tools.cli.map_info import show
+from segloc.tools.io import Trajectory, write_tum
 from segloc.types import Float64
 
 CONFIG = Config(threads=1)

@@ -19,7 +19,7 @@ from segloc_ros.core.maps import MapFile
 from segloc_ros.core.pump import Pump
 
 from segloc import Localizer, geometry
-from segloc.io import write_scan
+from segloc.tools.io import write_scan
 
 WAIT_S = 60.0
 

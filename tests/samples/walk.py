@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from segloc import cli, geometry
-from segloc.io import Trajectory, write_scan, write_tum
+from segloc import geometry
+from segloc.tools import cli
+from segloc.tools.io import Trajectory, write_scan, write_tum
 from segloc.types import Float64, Recording, Scan
 
 from .plaza import Plaza, PlazaSequence

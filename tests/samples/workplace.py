@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, build_map, geometry
-from segloc.io import Trajectory, write_tum
-from segloc.io.scans import write_scan
+from segloc.tools.io import Trajectory, write_tum
+from segloc.tools.io.scans import write_scan
 from segloc.types import Float64, Scan
 
 from .plaza import Plaza, PlazaSequence

@@ -13,9 +13,9 @@ from samples import io as samples
 
 from segloc import geometry
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import read_scan
 from segloc.system import budget
 from segloc.system.processes import ProcessPool
+from segloc.tools.io import read_scan
 
 CLOUD = samples.cloud(40)
 FILES = samples.samples(CLOUD)
@@ -53,7 +53,7 @@ def test_a_limit_that_is_none(text: str, monkeypatch: pytest.MonkeyPatch) -> Non
 @given(st.lists(st.integers(0, 9), min_size=1, max_size=900), st.integers(1, 60))
 def test_lists_of_any_lengths_before_the_vertices(lengths: list[int], same: int) -> None:
     """However many rows in a row are alike."""
-    from segloc.io.ply import parse_ply
+    from segloc.tools.io.ply import parse_ply
 
     counts = [n for n in lengths for _ in range(same)]
     head = f"ply\nformat binary_big_endian 1.0\nelement face {len(counts)}\nproperty short a\n"

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, SegmentMap, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
 from segloc.loops import Reposed
 from segloc.map import CompactConfig, compacted
 from segloc.system.files import replacing
 from segloc.tiles import INDEX, TiledMap, store_of, write_tile
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
 from segloc.types import Descriptors, Float64, LocalCloud, Pose
 
 from .simulation import SENSORS, Conditions, SimulatedSequence, simulate_sessions, town

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from .report import Cell, Table, publish, reporting
 
-TOOLS = ("batch", "cli", "datasets", "doctor", "export", "inspect", "io")
-"""Rooms of the package around a map; a robot that localizes needs the others."""
+TOOLS = ("tools", "batch", "cli", "datasets", "doctor", "export", "inspect", "io")
+"""Folders around a map: one, and where its rooms were until 0.3.0."""
 PARTS = {
-    "package, what a robot needs": ("src/segloc", (".py", ".pyi")),
+    "package, what a robot loads": ("src/segloc", (".py", ".pyi")),
     "package, tools": ("src/segloc", (".py",)),
     "kernels and bindings": ("cpp", (".h", ".cpp")),
     "their tests and fuzzers": ("cpp", (".h", ".cpp")),
@@ -99,14 +99,14 @@ def facts(root: Path) -> dict[str, Cell]:
     root = root.resolve()
     found: dict[str, Cell] = dict(counts(root))
     needed = sum(
-        _lines(p) for p in _files(root, "package, what a robot needs") if p.suffix == ".py"
+        _lines(p) for p in _files(root, "package, what a robot loads") if p.suffix == ".py"
     )
     for names in _NAMES:
         files, (bare, first) = loaded(root, *names)
         tools = sum(_lines(path) for path in files if _is_tool(root, path))
         used = sum(map(_lines, files)) - tools
         share = f"{used} ({100 * used / needed:.0f} %)"
-        found[f"loaded by {names[0]}: of what a robot needs"] = share
+        found[f"loaded by {names[0]}: of the core"] = share
         found[f"loaded by {names[0]}: of tools"] = tools
         found[f"import of {names[0]}"] = f"{first:.0f} ms"
     found["import segloc"] = f"{bare:.0f} ms"
@@ -121,8 +121,7 @@ def main() -> None:
     each = [facts(tree) for tree in trees]
     columns = ("part", "before", "now")[: len(trees) + 1] if len(trees) > 1 else ("part", "now")
     rows = [(name, *(found[name] for found in each)) for name in each[-1]]
-    tools = ", ".join(f"`{room}`" for room in TOOLS)
-    note = f"Lines with comments and blank ones. Tools are {tools}."
+    note = "Lines with comments and blank ones. Tools are the rooms of `segloc/tools`."
     publish(args.report, "Lines by part, and what a robot loads", Table(columns, rows, note))
 
 

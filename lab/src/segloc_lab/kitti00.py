@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.batch import query_positions
-from segloc.datasets import NO_POSES, Recording, Sequence, open_sequence
 from segloc.errors import DatasetError
+from segloc.tools.batch import query_positions
+from segloc.tools.datasets import NO_POSES, Recording, Sequence, open_sequence
 from segloc.types import Float64
 
 from .evaluation.scenario import MAX_GAP_M, QuerySet

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from segloc.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
+from segloc.tools.batch import COVERAGE_RADIUS_M, Tolerance, distances_to_path, pose_errors
 from segloc.types import Float64, Pose
 
 TOLERANCE = Tolerance()

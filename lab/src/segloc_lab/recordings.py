@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry
-from segloc.io import read_scan
 from segloc.system.files import replacing
+from segloc.tools.io import read_scan
 from segloc.types import Derived, Float64, Pose, Recording, Scan, stamp_at
 
 from .kitti00 import poses_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from segloc import geometry
-from segloc.datasets import Selection
 from segloc.errors import ConfigError, DatasetError
+from segloc.tools.datasets import Selection
 from segloc.types import Float64, Int64, Recording, Scan, stamp_at
 
 

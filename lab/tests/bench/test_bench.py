@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import segloc
 from segloc import ConfigError, MemoryRecording, SeglocError, _native
-from segloc.cli import app
+from segloc.tools.cli import app
 
 
 @pytest.mark.parametrize("sampler", [fps.per_segment, fps.batched, fps.batched_columns])

@@ -13,8 +13,8 @@ from segloc_lab.evaluation.study import Study
 from segloc_lab.simulation import record
 from segloc_lab.studies.paper import workspace as studies
 
-from segloc.cli import app
 from segloc.errors import ConfigError, DatasetError, MissingDependency
+from segloc.tools.cli import app
 
 pytestmark = pytest.mark.usefixtures("verbs")
 

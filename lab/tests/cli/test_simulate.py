@@ -15,9 +15,9 @@ pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 from segloc_lab.simulation import suites
 from segloc_lab.simulation.suites import SIX, SUMMER
 
-from segloc import cli
-from segloc.datasets import open_sequence
-from segloc.io import read_trajectory
+from segloc.tools import cli
+from segloc.tools.datasets import open_sequence
+from segloc.tools.io import read_trajectory
 
 TINY = ["--size", "130", "--length", "24", "--thin", "24", "--workers", "1"]
 

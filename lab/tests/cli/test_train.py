@@ -12,11 +12,11 @@ from segloc_lab.training.extract import ExtractConfig, extract_session
 from segloc_lab.training.shards import INDEX, Session, finish, load_dataset, write_shard
 from typer.testing import CliRunner
 
-from segloc.cli import app
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 from segloc.frontend.segmentation import Segmenter
-from segloc.io.scans import write_scan
-from segloc.io.trajectory import Trajectory, write_tum
+from segloc.tools.cli import app
+from segloc.tools.io.scans import write_scan
+from segloc.tools.io.trajectory import Trajectory, write_tum
 
 runner = CliRunner()
 

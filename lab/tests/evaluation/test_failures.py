@@ -16,8 +16,8 @@ from segloc_lab.padding import remade
 from typer.testing import CliRunner
 
 from segloc import Config, Localizer, SegmentMap, build_map
-from segloc.cli import app
-from segloc.io import Trajectory, write_tum
+from segloc.tools.cli import app
+from segloc.tools.io import Trajectory, write_tum
 
 
 @pytest.fixture(scope="module")

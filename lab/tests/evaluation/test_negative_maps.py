@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from segloc_lab.padding import mirrored, remade
 
 from segloc import Config, Localizer, build_map, geometry
-from segloc.datasets import open_sequence
+from segloc.tools.datasets import open_sequence
 from segloc.types import Float64, Scan
 
 

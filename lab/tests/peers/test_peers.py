@@ -18,8 +18,8 @@ from segloc_lab.peers.scan_context import ScanContexts, sideways
 from segloc_lab.peers.sets import Group, Material, Set, far
 
 from segloc import geometry
-from segloc.batch import query_positions
-from segloc.cli import app
+from segloc.tools.batch import query_positions
+from segloc.tools.cli import app
 
 SEARCH = branch_and_bound.Settings()
 NAMES = ("segloc", "published")

@@ -37,9 +37,9 @@ from segloc_lab.simulation.objects.mesh import Objects, boxes
 from segloc_lab.simulation.objects.scene import Terrain
 from segloc_lab.swathes import swathes
 
-from segloc.datasets import open_sequence, parse_select
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import read_trajectory
+from segloc.tools.datasets import open_sequence, parse_select
+from segloc.tools.io import read_trajectory
 from segloc.types import Scan
 
 FRONT, BACK = 1, 2

@@ -30,10 +30,10 @@ from segloc_lab.simulation.objects.scene import Terrain
 from segloc_lab.simulation.worlds.town import _town
 from segloc_lab.simulation.worlds.world import World
 
-from segloc.datasets import open_sequence
-from segloc.datasets.recorded import parse_select
 from segloc.errors import DatasetError
 from segloc.system.processes import ProcessPool
+from segloc.tools.datasets import open_sequence
+from segloc.tools.datasets.recorded import parse_select
 
 SIZE = 150.0
 BOX_ID = 7

@@ -26,9 +26,9 @@ from segloc_lab.training.pointset import prepared_points  # noqa: E402
 from segloc_lab.training.shards import Session, finish, load_dataset, write_shard  # noqa: E402
 from segloc_lab.training.train import train  # noqa: E402
 
-from segloc.datasets.recorded import Selection  # noqa: E402
 from segloc.descriptors.pointset import PairHead as NumpyHead  # noqa: E402
 from segloc.descriptors.pointset import load_weights  # noqa: E402
+from segloc.tools.datasets.recorded import Selection  # noqa: E402
 
 torch.set_num_threads(1)
 

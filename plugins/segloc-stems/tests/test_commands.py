@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from samples import stems
 
-from segloc.cli import main
-from segloc.io import Trajectory, write_tum
+from segloc.tools.cli import main
+from segloc.tools.io import Trajectory, write_tum
 
 
 def recorded(folder: Path, places: list[tuple[float, float, float]], seed: int) -> Path:

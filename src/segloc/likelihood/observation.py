@@ -451,8 +451,9 @@ def patches(points: Float32, side_m: float) -> Int64:
     """Number the cubes that hold points, (N, 3): the cube of each, (N,)."""
     if not len(points):
         return np.empty(0, np.int64)
-    cells = np.floor(points / side_m).astype(np.int64)
-    _, patch = np.unique(cells, axis=0, return_inverse=True)
+    x, y, z = np.floor(points / side_m).astype(np.int64).T
+    # One key a cube, in the order of x, y and z: rows take NumPy ten times as long.
+    _, patch = np.unique((x << 42) + (y << 21) + z, return_inverse=True)
     return patch.reshape(-1)
 
 

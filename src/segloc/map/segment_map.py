@@ -525,7 +525,7 @@ class SegmentMap:
         MissingDependency
             If matplotlib is not installed.
         """
-        from ..inspect.plots import plot_map
+        from ..tools.inspect.plots import plot_map
 
         return plot_map(self, axes)
 

@@ -11,14 +11,16 @@ import zipfile
 import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.recorded import Selection
 from ..errors import DatasetError
 from ..types import Float64, Int64, Scan
+
+if TYPE_CHECKING:
+    from ..tools.datasets.recorded import Selection
 
 Name: TypeAlias = Literal["monday", "tuesday", "elsewhere"]
 

@@ -8,25 +8,26 @@ from collections.abc import Callable, Mapping
 
 
 def lazy(
-    package: str, names: Mapping[str, str]
+    module: str, names: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return ``__getattr__`` and ``__dir__`` of a package that imports names on first use.
+    """Return ``__getattr__`` and ``__dir__`` of a module that imports names on first use.
 
     Parameters
     ----------
-    package : str
+    module : str
     names : dict of str to str
-        Names, separated by spaces, by the submodule that defines them. The package imports the
-        same names under ``if TYPE_CHECKING:``.
+        Names, separated by spaces, by the module of the same package that defines them. The module
+        imports the same names under ``if TYPE_CHECKING:``.
     """
-    homes = {name: f"{package}.{module}" for module in names for name in names[module].split()}
+    package = sys.modules[module].__package__
+    homes = {name: f"{package}.{home}" for home in names for name in names[home].split()}
 
     def get(name: str) -> object:
         if name not in homes:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
         return getattr(importlib.import_module(homes[name]), name)
 
     def listed() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *homes})
+        return sorted({*vars(sys.modules[module]), *homes})
 
     return get, listed

@@ -31,10 +31,10 @@ _MAX_ROW = 64  # (3, N) instead of (N, 3)
 
 
 _READERS = {
-    "points": "segloc.io.read_scan(path).points",
-    "cloud": "segloc.io.clouds.read_cloud(path)",
-    "poses": "segloc.io.read_trajectory(path).poses",
-    "trajectory": "segloc.io.read_trajectory(path).poses",
+    "points": "segloc.tools.io.read_scan(path).points",
+    "cloud": "segloc.tools.io.clouds.read_cloud(path)",
+    "poses": "segloc.tools.io.read_trajectory(path).poses",
+    "trajectory": "segloc.tools.io.read_trajectory(path).poses",
 }
 """What reads a file, by the name of the argument."""
 _ATTRIBUTES = ("xyz", "points", "vertices", "poses")
@@ -287,7 +287,7 @@ def _poses_line(array: Float64) -> str:
         (3, 4): ": append the row 0 0 0 1 to each",
         (16,): ": poses.reshape(-1, 4, 4)",
     }
-    rows = ": rows of a file are read by segloc.io.read_trajectory(path).poses"
+    rows = ": rows of a file are read by segloc.tools.io.read_trajectory(path).poses"
     lines |= dict.fromkeys(((7,), (8,), (12,), (13,)), rows)
     return lines.get(array.shape if array.shape == (4, 4) else array.shape[1:], "")
 

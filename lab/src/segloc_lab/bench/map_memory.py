@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.io import read_scan
+from segloc.tools.io import read_scan
 
 from ..report import Cell, Table, publish, reporting
 from ..stages import held_mb

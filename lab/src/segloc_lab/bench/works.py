@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, MemoryRecording, Recording, Scan, SegmentMap, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.frontend import LocalCloudConfig, window
-from segloc.io import read_scan
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
+from segloc.tools.io import read_scan
 from segloc.types import Float64, Int64
 
 from .. import kitti00

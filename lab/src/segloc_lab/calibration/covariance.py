@@ -26,8 +26,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from segloc import Config, Localized, Localizer, Scan, build_map, geometry
-from segloc.batch import query_clouds
 from segloc.likelihood import ERRORS, ErrorModel
+from segloc.tools.batch import query_clouds
 from segloc.types import Float64, LocalCloud, Pose
 
 from ..protocols.real import maps, queries, sources

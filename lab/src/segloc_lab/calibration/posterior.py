@@ -29,7 +29,6 @@ from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
-from segloc.inspect import GREEN, PATH, RED
 from segloc.likelihood import (
     CHANCE_RIVAL,
     FEATURES,
@@ -39,6 +38,7 @@ from segloc.likelihood import (
     VerificationConfig,
     features_of,
 )
+from segloc.tools.inspect import GREEN, PATH, RED
 from segloc.types import Float32, Float64, Int64
 
 from ..report import Cell, Table, command, publish, reporting, share, wilson

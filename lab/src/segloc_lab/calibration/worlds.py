@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, Scan, build_map
-from segloc.batch import query_positions
-from segloc.datasets import Selection, Sequence
 from segloc.frontend import LocalCloudConfig, window
+from segloc.tools.batch import query_positions
+from segloc.tools.datasets import Selection, Sequence
 from segloc.types import Float32, Float64, Int64, Pose
 
 from ..parallel import in_parallel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from segloc.cli.verbs import HELP_NAMES
+from segloc.tools.cli.verbs import HELP_NAMES
 
 from . import bench, evaluate, simulate, train
 

@@ -135,9 +135,9 @@ def bench(
     """
     import os
 
-    from segloc.cli.console import busy, note, table
     from segloc.system.kernels import instruction_set
     from segloc.system.machine import processor
+    from segloc.tools.cli.console import busy, note, table
 
     from ..bench import harness, versions
     from ..report import require_new, write
@@ -174,8 +174,8 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _show(kernels: Sequence[Row], title: str) -> None:
-    from segloc.cli.console import table
     from segloc.system.text import counted
+    from segloc.tools.cli.console import table
 
     from ..bench.harness import remark, table_rows
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from segloc.cli.console import note, progress, say
-from segloc.cli.options import Cluster, check_every
-from segloc.cli.verbs import group
 from segloc.errors import ConfigError, DatasetError, MissingDependency
+from segloc.tools.cli.console import note, progress, say
+from segloc.tools.cli.options import Cluster, check_every
+from segloc.tools.cli.verbs import group
 
 from .evaluate_failures import failures
 from .evaluate_peers import peers
@@ -289,8 +289,8 @@ def _compare(
     cluster: str | None,
 ) -> None:
     """Compare the methods on two recordings, print the tables and write the report."""
-    from segloc.cli.results import check_folder
     from segloc.system.processes import executing
+    from segloc.tools.cli.results import check_folder
 
     from ..evaluation.comparison_study import compare
     from ..evaluation.workspace import Workspace
@@ -316,8 +316,8 @@ def _workspace(
     workers: int,
     cluster: str | None,
 ) -> Iterator[Workspace]:
-    from segloc.cli.results import check_folder
     from segloc.system.processes import executing
+    from segloc.tools.cli.results import check_folder
 
     from ..studies.paper.workspace import Workspace
 

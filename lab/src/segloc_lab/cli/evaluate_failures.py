@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from segloc.cli.options import (
+from segloc.tools.cli.options import (
     ConfigFile,
     Every,
     Poses,
@@ -47,11 +47,11 @@ def failures(
     import numpy as np
 
     from segloc import SegmentMap
-    from segloc.batch import query_positions
-    from segloc.cli.console import busy
-    from segloc.cli.recording import open_recording, true_poses
-    from segloc.cli.results import check_folder
     from segloc.system.files import replacing
+    from segloc.tools.batch import query_positions
+    from segloc.tools.cli.console import busy
+    from segloc.tools.cli.recording import open_recording, true_poses
+    from segloc.tools.cli.results import check_folder
 
     from ..evaluation.failures import draw_case, funnel
     from ..evaluation.scenario import QuerySet
@@ -83,7 +83,7 @@ def failures(
 
 def show(found: Funnel) -> None:
     """Print a funnel as a table."""
-    from segloc.cli.console import table
+    from segloc.tools.cli.console import table
 
     rows = [("queries", str(found.queries)), ("within map coverage", str(len(found.cases)))]
     for stage, count in found.counts().items():

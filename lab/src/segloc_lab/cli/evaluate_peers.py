@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from segloc.cli.console import say
+from segloc.tools.cli.console import say
 
 
 def peers(
@@ -55,7 +55,7 @@ def peers(
     Sets and answers are stored in DIR; an interrupted run resumes. Systems that are not installed
     are named in the table.
     """
-    from segloc.cli.results import check_folder
+    from segloc.tools.cli.results import check_folder
 
     from ..peers.sets import SETS
     from ..peers.study import PEERS, Job, checked, interpreters

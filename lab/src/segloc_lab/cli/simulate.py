@@ -12,7 +12,7 @@ import typer
 from segloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from segloc.datasets import Sequence
+    from segloc.tools.datasets import Sequence
 
     from ..simulation import Conditions, SimulatedSequence
 
@@ -155,7 +155,7 @@ def simulate(
     DIR/scene.json. Session 0 is the one to map; later ones return in other lanes and directions,
     leave the map, and find other cars, other seasons and some objects replaced.
     """
-    from segloc.cli.results import check_folder
+    from segloc.tools.cli.results import check_folder
 
     from ..swathes import swathes
 
@@ -239,7 +239,7 @@ def _plan(
 
 
 def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
-    from segloc.cli.console import busy
+    from segloc.tools.cli.console import busy
 
     from ..simulation import PLATFORMS, SCENES, SENSORS, LineLidar, simulate_sessions
 
@@ -275,7 +275,7 @@ def _drives(order: _Order, plan: list[Conditions]) -> list[SimulatedSequence]:
 def _record(
     recording: Sequence, folder: Path, suffix: str | None, objects: bool, workers: int
 ) -> None:
-    from segloc.cli.console import progress
+    from segloc.tools.cli.console import progress
 
     from ..simulation import record
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from segloc.cli.console import say
-from segloc.cli.options import (
+from segloc.errors import ConfigError, DatasetError
+from segloc.tools.cli.console import say
+from segloc.tools.cli.options import (
     Cluster,
     ConfigFile,
     Method,
@@ -20,8 +21,7 @@ from segloc.cli.options import (
     each,
     load_config,
 )
-from segloc.cli.verbs import group
-from segloc.errors import ConfigError, DatasetError
+from segloc.tools.cli.verbs import group
 
 if TYPE_CHECKING:
     from ..training.labels import LabelCounts
@@ -108,10 +108,10 @@ def extract(
     The sequences of one call are sessions of one place and share a frame. Repeated calls append; an
     interrupted run resumes.
     """
-    from segloc.cli.console import note
-    from segloc.cli.recording import open_recording
     from segloc.config import validated
     from segloc.system.processes import executing
+    from segloc.tools.cli.console import note
+    from segloc.tools.cli.recording import open_recording
 
     from ..training.collect import Posed, collect_recordings, collect_worlds, draw_worlds
     from ..training.extract import ExtractConfig
@@ -172,8 +172,8 @@ def extract(
 
 
 def _show(counts: LabelCounts, title: str) -> None:
-    from segloc.cli.console import table
     from segloc.system.text import number
+    from segloc.tools.cli.console import table
 
     rows = [
         ("segments", f"{counts.segments:,}"),
@@ -204,8 +204,8 @@ def pairs(
 
     Writes a dataset and DIR/pairs.csv: matching and different segments with their distances.
     """
-    from segloc.cli.recording import open_recording
-    from segloc.cli.results import check_folder
+    from segloc.tools.cli.recording import open_recording
+    from segloc.tools.cli.results import check_folder
 
     from ..training.aligned_pairs import write_dataset, write_pairs
 
@@ -279,7 +279,7 @@ def score(
     seed: Seed = 0,
 ) -> None:
     """Score a descriptor: ROC area, and recall of segments across sessions."""
-    from segloc.cli.console import busy, note, table
+    from segloc.tools.cli.console import busy, note, table
 
     from ..training.metrics import KS, load_descriptor, score_descriptor
     from ..training.shards import load_dataset

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from segloc import SegmentMap
-from segloc.batch import Evaluation, query_clouds
 from segloc.config import Config
 from segloc.descriptors import Descriptor, available, create
 from segloc.errors import ConfigError, DatasetError, WeightsError
@@ -18,6 +17,7 @@ from segloc.localization import Localization, Localized, NotLocalized, Reason
 from segloc.localizer import Localizer
 from segloc.map import DEFAULT_METHOD, add_view, empty_map, map_views
 from segloc.proposals import Estimator, PoseEstimator, Query
+from segloc.tools.batch import Evaluation, query_clouds
 from segloc.types import Descriptors, Float64, Recording, Segments
 
 from .scenario import QuerySet

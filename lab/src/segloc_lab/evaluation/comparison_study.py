@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import SegmentMap
-from segloc.batch import PATH_BREAK_M, Evaluation
 from segloc.config import Config
 from segloc.descriptors import Descriptor, create
+from segloc.tools.batch import PATH_BREAK_M, Evaluation
 from segloc.types import Float64
 
 from ..parallel import in_parallel

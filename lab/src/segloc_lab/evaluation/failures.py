@@ -11,10 +11,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segloc import geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.errors import DatasetError
-from segloc.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
 from segloc.pipeline import Search
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
+from segloc.tools.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
 from segloc.types import Float64, LocalCloud, Matches, Pose
 
 from ..outcomes import TOLERANCE

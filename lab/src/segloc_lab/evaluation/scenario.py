@@ -9,10 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from segloc.batch import query_positions
-from segloc.datasets import open_sequence, poses_at
 from segloc.errors import ConfigError
 from segloc.frontend import LocalCloudConfig
+from segloc.tools.batch import query_positions
+from segloc.tools.datasets import open_sequence, poses_at
 from segloc.types import Float64, Int64, Recording
 
 MAX_GAP_M = LocalCloudConfig().max_gap_m
@@ -80,7 +80,7 @@ class Pair:
     Attributes
     ----------
     map, query : Path
-        Paths for :func:`segloc.datasets.open_sequence`.
+        Paths for :func:`segloc.tools.datasets.open_sequence`.
     map_poses : Path or None
         Poses that define the map frame; by default the recording's own.
     poses : Path or None
@@ -89,7 +89,7 @@ class Pair:
     truth : Path or None
         True poses of the queries in the map's frame, to score against.
     map_select, select : str or None
-        Selected scans; see :func:`segloc.datasets.parse_select`.
+        Selected scans; see :func:`segloc.tools.datasets.parse_select`.
     topic : str or None
         Of both recordings, if they have several.
     every_m : float

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from segloc.errors import MissingDependency, SeglocError
-from segloc.inspect import DARK, GREEN, ORANGE, PALETTE, PATH, RED, blank, png
 from segloc.system.files import replacing, write_text
+from segloc.tools.inspect import DARK, GREEN, ORANGE, PALETTE, PATH, RED, blank, png
 from segloc.types import Float64
 
 from .. import report

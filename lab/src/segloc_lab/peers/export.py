@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, SegmentMap, geometry
-from segloc.batch import distances_to_path
 from segloc.frontend import Accumulator, LocalCloudConfig, window
 from segloc.map import ThinCloud
 from segloc.system import kernels
+from segloc.tools.batch import distances_to_path
 from segloc.types import Float64, LocalCloud, Recording
 
 from .. import kitti00

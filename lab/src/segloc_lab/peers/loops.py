@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from segloc import LoopDetector, Scan, geometry
-from segloc.datasets import Sequence
 from segloc.loops import Edges, concatenate_edges, solve_robustly
 from segloc.motion import odometry_covariance
+from segloc.tools.datasets import Sequence
 from segloc.types import Float64
 
 from ..kitti00 import keyframes, poses_of

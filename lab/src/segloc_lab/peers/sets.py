@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc import geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
-from segloc.datasets import open_sequence
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
+from segloc.tools.datasets import open_sequence
 from segloc.types import Derived, Float64, Int64, Recording, Scan
 
 from .. import kitti00

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from segloc import Localization, Localizer, sample
-from segloc.batch import Evaluation
 from segloc.descriptors import Descriptor, create
 from segloc.proposals import Query
+from segloc.tools.batch import Evaluation
 from segloc.types import Candidate, Float64, Matches, Pose, Recording
 
 from ..evaluation.comparison import build_maps, shared_config

@@ -19,7 +19,7 @@ import numpy as np
 import small_gicp
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.types import Float32, Float64, Pose
 
 from ..kitti00 import PROTOCOLS, query_set

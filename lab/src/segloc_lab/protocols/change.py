@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from segloc import Localization, SegmentMap
-from segloc.batch import Evaluation, query_positions
 from segloc.descriptors import Descriptor, create
 from segloc.errors import ConfigError
+from segloc.tools.batch import Evaluation, query_positions
 
 from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
 from ..evaluation.scenario import QuerySet

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap
-from segloc.batch import query_clouds
 from segloc.map import CompactConfig, MappingConfig, VoxelCloud, compacted
 from segloc.proposals import Query
+from segloc.tools.batch import query_clouds
 from segloc.types import Float64
 
 from ..outcomes import is_covered, outcome, path_km, pose_error

@@ -25,8 +25,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.datasets import open_sequence
-from segloc.io import clouds
+from segloc.tools.datasets import open_sequence
+from segloc.tools.io import clouds
 from segloc.types import Float32, Float64, Pose
 
 from .. import kitti00

@@ -21,8 +21,8 @@ import numpy as np
 from segloc_stems import LandmarkLocalizer, LandmarkMap, StemFinder, find_stems
 
 from segloc import Config, LocalCloud, Localization, Localizer, SegmentMap, build_map
-from segloc.batch import distances_to_path, query_clouds
 from segloc.frontend import Accumulator
+from segloc.tools.batch import distances_to_path, query_clouds
 from segloc.types import Pose
 
 from ..outcomes import pose_error

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
-from segloc.datasets import Selection
 from segloc.live import Replay, Status, play, pose_errors
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
+from segloc.tools.datasets import Selection
 from segloc.types import Derived, Float64, Int64, Recording
 
 from ..recordings import Cached

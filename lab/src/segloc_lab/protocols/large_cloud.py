@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.io import write_scan
+from segloc.tools.io import write_scan
 from segloc.types import Pose
 
 from ..calibration.worlds import LENGTH_M, simulated
@@ -38,7 +38,7 @@ CELL_M = 1.0
 """Cell size of the area that a map covers, seen from above [m]."""
 MEASURED = """
 import atexit, sys
-from segloc.cli import main
+from segloc.tools.cli import main
 from segloc_lab.stages import highest_mb
 atexit.register(lambda: print(highest_mb(), file=sys.stderr))
 main()

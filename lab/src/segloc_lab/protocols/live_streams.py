@@ -30,12 +30,12 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localization, Localizer, Scan, build_map, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.errors import InvalidScan
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.pipeline import Search
 from segloc.proposals import Query
 from segloc.system.stage_times import StageTimes
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.types import Float64, Int64, Recording
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.batch import query_positions
-from segloc.io import clouds
 from segloc.proposals import Query
+from segloc.tools.batch import query_positions
+from segloc.tools.io import clouds
 from segloc.types import Float64, MemoryRecording
 
 from .. import kitti00

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, build_map, geometry
-from segloc.batch import query_clouds
-from segloc.datasets import NO_POSES, open_sequence
+from segloc.tools.batch import query_clouds
+from segloc.tools.datasets import NO_POSES, open_sequence
 from segloc.types import Float64, Int64, Recording
 
 from .. import kitti00

@@ -30,8 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.io import write_scan
 from segloc.sample import load
+from segloc.tools.io import write_scan
 
 from ..report import Cell, Table, publish, reporting
 
@@ -71,7 +71,7 @@ _MAX_BYTES = 1 << 20  # of an input that is damaged
 _CHANGED_AT_ONCE = 4000  # bytes of one copy, at most; most copies have far fewer
 _CHILD = """
 import contextlib, io, json, sys
-from segloc.cli import main
+from segloc.tools.cli import main
 for line in sys.stdin:
     sys.argv = ["segloc", *json.loads(line)]
     out, err, code = io.StringIO(), io.StringIO(), 0

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.batch import distances_to_path
 from segloc.system.files import replacing
 from segloc.system.stage_times import StageTimes
+from segloc.tools.batch import distances_to_path
 from segloc.types import Pose
 
 from ..calibration.worlds import first_half

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.proposals import Query
 from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.types import Float64, Pose
 
 from .. import kitti00

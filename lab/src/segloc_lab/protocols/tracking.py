@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path
-from segloc.datasets import Sequence
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
+from segloc.tools.datasets import Sequence
 from segloc.tracker import Tracker
 from segloc.types import Float64
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from segloc_stems import LandmarkLocalizer, LandmarkMap, LandmarkMapper, Landmarks
 
 from segloc import geometry
-from segloc.io import read_trajectory
+from segloc.tools.io import read_trajectory
 from segloc.types import Float64, Int64
 
 from ..calibration.landmarks import mirrored as mirror_image

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from segloc.errors import ConfigError, DatasetError
-from segloc.io import Trajectory, write_scan, write_tum
 from segloc.system.files import replacing
 from segloc.system.processes import ProcessPool, as_finished
+from segloc.tools.io import Trajectory, write_scan, write_tum
 from segloc.types import Recording
 
 from .motion.platforms import Platform, Route

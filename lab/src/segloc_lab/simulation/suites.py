@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from segloc.datasets import Sequence
 from segloc.errors import ConfigError
+from segloc.tools.datasets import Sequence
 
 from ..swathes import swathes
 from .drives import simulate_sessions

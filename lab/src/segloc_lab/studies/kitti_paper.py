@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
-from segloc.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
-from segloc.datasets import Sequence as Drive
 from segloc.descriptors import Descriptor, create
 from segloc.errors import DatasetError, SeglocError
 from segloc.frontend import Segmenter
@@ -28,6 +26,8 @@ from segloc.map import compacted
 from segloc.proposals import PoseConfig, PoseEstimator, Query
 from segloc.system.files import write_text
 from segloc.system.processes import executing
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
+from segloc.tools.datasets import Sequence as Drive
 from segloc.types import Float64, Int64, Pose
 
 from ..evaluation.comparison import (

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from segloc.datasets.signature import PUSH_BROOM, sensor_of
 from segloc.errors import ConfigError
 from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.system.processes import as_finished, single_threaded_pool
 from segloc.system.section import Section
+from segloc.tools.datasets.signature import PUSH_BROOM, sensor_of
 from segloc.types import Recording
 
 from ..simulation import (

@@ -18,10 +18,10 @@ from segloc_lab.studies.paper.localization import KittiScenario, SuiteScenario, 
 from segloc_lab.studies.paper.workspace import Workspace
 
 from segloc import Localizer, build_map
-from segloc.batch.run import localize_sequence
 from segloc.errors import DatasetError
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
+from segloc.tools.batch.run import localize_sequence
 
 METHOD = "geo"
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from segloc.cli import options
-from segloc.cli.console import note, progress, table
-from segloc.cli.verbs import HELP_NAMES, group
 from segloc.errors import DatasetError
+from segloc.tools.cli import options
+from segloc.tools.cli.console import note, progress, table
+from segloc.tools.cli.verbs import HELP_NAMES, group
 
 MapFile = Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The map of stems.")]
 OutFile = Annotated[Path, typer.Option(metavar="MAP.segmap", help="Output file.")]
@@ -33,8 +33,8 @@ def build(
     topic: options.Topic = None,
 ) -> None:
     """Map the stems of a recording with poses."""
-    from segloc.cli.recording import open_recording
     from segloc.system.files import checked_target
+    from segloc.tools.cli.recording import open_recording
 
     from . import LandmarkMapper, find_stems
 
@@ -59,9 +59,9 @@ def localize(
     topic: options.Topic = None,
 ) -> None:
     """Localize each scan of a recording by its stems, without poses."""
-    from segloc.batch.report import sentence
-    from segloc.cli.recording import open_recording
-    from segloc.datasets import NO_POSES
+    from segloc.tools.batch.report import sentence
+    from segloc.tools.cli.recording import open_recording
+    from segloc.tools.datasets import NO_POSES
 
     from . import LandmarkLocalizer, LandmarkMap, find_stems
 

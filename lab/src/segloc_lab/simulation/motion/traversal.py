@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from segloc.datasets.recorded import Selection
 from segloc.errors import ConfigError, DatasetError
 from segloc.motion import Motion
+from segloc.tools.datasets.recorded import Selection
 from segloc.types import Float64, Int64, Scan, stamp_at
 
 from ..objects.mesh import Int32

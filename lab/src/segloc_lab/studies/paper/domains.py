@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from segloc import __version__
-from segloc.datasets import Sequence
 from segloc.errors import ConfigError, DatasetError
 from segloc.frontend import SegmentationConfig, Segmenter
+from segloc.tools.datasets import Sequence
 
 from ... import kitti00
 from ...parallel import in_parallel

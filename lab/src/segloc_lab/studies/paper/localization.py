@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from segloc import geometry
-from segloc.batch import query_positions
-from segloc.datasets import Recording
 from segloc.errors import DatasetError
+from segloc.tools.batch import query_positions
+from segloc.tools.datasets import Recording
 from segloc.types import Float64
 
 from ... import kitti00

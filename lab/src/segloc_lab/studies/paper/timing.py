@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from segloc import SegmentMap
-from segloc.batch import query_clouds
 from segloc.config import Config
-from segloc.datasets import Recording
 from segloc.descriptors import Descriptor, create
 from segloc.frontend import Segmenter
 from segloc.localizer import Localizer
 from segloc.system.machine import processor
 from segloc.system.stage_times import Clock, StageTimes
+from segloc.tools.batch import query_clouds
+from segloc.tools.datasets import Recording
 from segloc.types import LocalCloud
 
 from ...bench.harness import in_process

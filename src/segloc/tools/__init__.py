@@ -1,0 +1,1 @@
+"""Tools around a map: readers, commands, pictures. The core never imports them by itself."""

@@ -1,0 +1,234 @@
+"""Localize a whole recording, query by query or in parallel parts, with priors from GNSS."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from functools import lru_cache, partial
+from typing import TypeAlias
+
+import numpy as np
+
+from ... import geometry
+from ...config import Config
+from ...errors import ConfigError, DatasetError
+from ...frontend.local_cloud import Accumulator, window
+from ...frontend.rolling_cloud import RecordedWindows
+from ...localization import Localization
+from ...localizer import Localizer
+from ...map.georeference import Georeference
+from ...prior import Prior
+from ...system.processes import as_finished
+from ...system.stage_times import Clock, StageTimes
+from ...tiles import localizer_in, open_map
+from ...types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
+from ..datasets.fixes import Fixes
+
+Priors: TypeAlias = Prior | Sequence[Prior | None] | None
+"""One prior for all queries, one per query, or none."""
+QUERIES = 16
+"""Queries per part: enough that neighbouring windows share work."""
+LONGEST_GAP_S = 2.0
+"""Maximum time between a query and its fix [s]."""
+DEFAULT_ERROR_M, SIGMAS = 10.0, 3.0
+"""Error assumed if the receiver reports none [m]; radius of a prior in standard deviations."""
+MAX_RADIUS_M = 500.0
+"""Fixes that need a larger radius are ignored [m]."""
+
+
+def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
+    """Return positions in a sequence, one per ``every_m`` of travel.
+
+    Each is the first scan at the end of such a stretch, so that it can accumulate the stretch. A
+    step longer than ``max_gap_m`` is a break in the recording, after which counting restarts.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        NaN for scans without a pose, which are skipped.
+    every_m, max_gap_m : float
+        In metres.
+    """
+    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    steps = np.linalg.norm(np.diff(poses[known, :3, 3], axis=0), axis=1)
+    breaks = np.flatnonzero(steps > max_gap_m) + 1
+    chosen = []
+    for part in np.split(known, breaks):
+        distance = geometry.travelled(poses[part])
+        if len(part):
+            chosen.append(part[geometry.stations(distance, every_m, every_m)])
+    return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
+
+
+def localize_sequence(
+    localizer: Localizer,
+    scans: Scanned,
+    positions: Int64,
+    progress: Callable[[int, int], None] | None = None,
+    near: Priors = None,
+) -> list[Localization]:
+    """Localize the scans at some positions of a recording, each independently.
+
+    If the recording has poses, a query accumulates the scans before it; otherwise it is a single
+    scan. A prior applies to all queries, or there is one (or None) per query.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read. An empty scan is "not localized".
+    """
+    results: list[Localization] = []
+    sequence = as_recording(scans)
+    clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
+    for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
+        query = localizer.describe(cloud, times)
+        results.append(localizer.locate(query, times, near=prior))
+        if progress:
+            progress(len(results), len(positions))
+    return results
+
+
+def each_prior(near: Priors, count: int) -> Sequence[Prior | None]:
+    """Return the prior of each query.
+
+    Raises
+    ------
+    ConfigError
+        If their number differs from that of the queries.
+    """
+    if near is None or isinstance(near, Prior):
+        return [near] * count
+    if len(near) != count:
+        raise ConfigError(f"{len(near)} priors for {count} queries")
+    return near
+
+
+def query_clouds(
+    sequence: Recording, positions: Int64, config: Config, clock: Clock = time.perf_counter
+) -> Iterator[tuple[LocalCloud, StageTimes]]:
+    """Yield the local cloud of each query, and its stage times; see :func:`localize_sequence`.
+
+    Consecutive windows share their work.
+    """
+    local, poses = config.local_cloud, sequence.poses
+    accumulator = Accumulator(local)
+    voxel_size = config.segmentation.accumulated.voxel_size
+    windows = RecordedWindows(sequence.scan, local, voxel_size, local.window_m)
+    for position in map(int, positions):
+        times = StageTimes(clock)
+        if poses is None:
+            scan = sequence.scan(position)
+            with times("gathering"):
+                cloud = accumulator.gather(scan)
+        else:
+            length, gap = local.window_m, local.max_gap_m
+            scans = window(poses, position, length, centred=False, max_gap_m=gap)
+            cloud = windows.cloud(scans, position, times)
+        yield cloud, times
+
+
+@lru_cache(maxsize=2)
+def _opened(where: str, config: Config, run: str) -> Localizer:
+    """Open a map once per process and run, since maps may be replaced between runs."""
+    return localizer_in(open_map(where), config)
+
+
+def _localized(
+    where: str,
+    config: Config,
+    run: str,
+    recording: Recording,
+    part: tuple[Int64, Sequence[Prior | None]],
+) -> list[Localization]:
+    """Localize some queries of a recording, in any process; can be repeated."""
+    positions, near = part
+    return localize_sequence(_opened(where, config, run), recording, positions, near=near)
+
+
+def localize_parts(
+    where: str,
+    config: Config,
+    recording: Recording,
+    positions: Int64,
+    executor: Executor,
+    progress: Callable[[int, int], None] | None = None,
+    near: Priors = None,
+) -> list[Localization]:
+    """Localize the scans at some positions of a recording in parts, by an executor.
+
+    Poses, confidences and reasons equal those of :func:`localize_sequence`, to the last bit; each
+    process uses one thread.
+
+    Parameters
+    ----------
+    where : str
+        Map file, or folder or URL of tiles, readable by every worker.
+    config : Config
+    recording : Recording
+        Must be picklable, and its files readable by the workers.
+    positions : (Q,) int64
+    executor : Executor
+        Processes, threads, or a cluster.
+
+    Raises
+    ------
+    SeglocError
+        As localizing does; and if a process was killed and its tasks cannot be repeated.
+    """
+    single = config.model_copy(update={"threads": 1})
+    localized = partial(_localized, where, single, uuid.uuid4().hex, recording)
+    chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
+    priors, parts, done = each_prior(near, len(positions)), [], 0
+    for chunk in chunks:
+        parts.append((chunk, priors[done : done + len(chunk)]))
+        done += len(chunk)
+    found: dict[int, list[Localization]] = {}
+    for number, results in as_finished(localized, parts, executor):
+        found[number] = results
+        if progress:
+            progress(sum(map(len, found.values())), len(positions))
+    return [result for number in sorted(found) for result in found[number]]
+
+
+def gnss_priors(
+    fixes: Fixes, georeference: Georeference, stamps: Float64 | None, least_m: float
+) -> list[Prior | None]:
+    """Make a prior for each query with a GNSS fix close in time.
+
+    A query that is not found near its fix is searched in the whole map: between buildings fixes
+    may be far off and underestimate their error.
+
+    Parameters
+    ----------
+    fixes : Fixes
+    georeference : Georeference
+        Of the map.
+    stamps : (N,) float64 or None
+        Of the queries [s].
+    least_m : float
+        Radius for an exact fix [m]; covers errors of antenna, scan and map.
+
+    Raises
+    ------
+    DatasetError
+        If the queries have no stamps.
+    ConfigError, MissingDependency
+        As :meth:`segloc.map.georeference.Georeference.in_map`.
+    """
+    if stamps is None:
+        raise DatasetError(f"{fixes.source}: stamped fixes, but the scans have no stamps")
+    xy = georeference.in_map(fixes.degrees)[:, :2]
+    error_m = np.where(np.isfinite(fixes.error_m), fixes.error_m, DEFAULT_ERROR_M)
+    after = np.searchsorted(fixes.stamps, stamps).clip(1, max(len(fixes) - 1, 1)) % len(fixes)
+    before = np.maximum(after - 1, 0)
+    sooner = stamps - fixes.stamps[before] <= fixes.stamps[after] - stamps
+    nearest = np.where(sooner, before, after)
+    priors: list[Prior | None] = []
+    for stamp, k in zip(stamps, nearest, strict=True):
+        radius_m = least_m + SIGMAS * float(error_m[k])
+        late = abs(fixes.stamps[k] - stamp) > LONGEST_GAP_S
+        useless = late or radius_m > MAX_RADIUS_M or not np.isfinite(xy[k]).all()
+        priors.append(None if useless else Prior(xy[k], radius_m, anywhere=True))
+    return priors

@@ -1,0 +1,51 @@
+"""``segloc odometry``"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...system.text import number
+from . import options
+from .console import progress, table
+
+
+def odometry(
+    sequence: options.Recording,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="POSES.tum", help="Output file of poses.", show_default="beside the recording"
+        ),
+    ] = None,
+    select: options.Select = None,
+    topic: options.Topic = None,
+) -> None:
+    """Compute the poses of a recording from its scans, by KISS-ICP.
+
+    `--odometry` of other verbs uses the file beside a recording if it covers all scans.
+    """
+    from typing import cast
+
+    from ... import geometry
+    from ...system.files import checked_target
+    from ..datasets import NO_POSES, RecordedSequence
+    from ..datasets.odometry import compute_odometry, odometry_path
+    from .recording import open_recording
+
+    file = checked_target(out) if out is not None else odometry_path(sequence, topic)
+    recording = cast(
+        RecordedSequence, open_recording(sequence, Path(NO_POSES), select, topic=topic)
+    )
+    with progress("Odometry") as update:
+        poses = compute_odometry(recording, file, update).poses
+    travelled = geometry.travelled(poses)[-1]
+    apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
+    rows = [
+        ("scans", str(len(poses))),
+        ("path", number(travelled, "m", 1)),
+        ("end to start", number(apart, "m", 1)),
+    ]
+    table(str(file), ("", ""), rows)

@@ -1,0 +1,102 @@
+"""LiDAR odometry for recordings without poses."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import DatasetError, InvalidScan
+from ...scan_odometry import ScanOdometry
+from ..io.pose_files import read_trajectory
+from ..io.trajectory import Trajectory, write_tum
+from .recorded import RecordedSequence
+
+
+def lidar_odometry(
+    recording: RecordedSequence,
+    *,
+    max_range_m: float = 100.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Estimate the sensor's poses from its scans; the frame is that of the first scan.
+
+    Runs on one thread, so that results repeat. Points with times are de-skewed to the end of their
+    scan; the pose and its stamp then hold at that moment.
+
+    Parameters
+    ----------
+    recording : RecordedSequence
+        Any sequence that :func:`~segloc.tools.datasets.open_sequence` opens.
+    max_range_m : float
+        Range beyond which points are ignored [m].
+    progress : callable, optional
+        Called with (scans done, total).
+
+    Returns
+    -------
+    Trajectory
+        Stamped in seconds, or by scan number if the recording has no stamps.
+
+    Raises
+    ------
+    DatasetError
+        If a scan cannot be read, is empty or lies in one plane, or the odometry is lost: a pose is
+        not finite, jumps, or returns to the origin, or several scans in a row are not registered.
+    MissingDependency
+        If kiss-icp is not installed.
+    """
+    odometry = ScanOdometry(max_range_m)
+    timed = recording.stamps is not None and bool((recording.stamps % 1).any())
+    clock = recording.stamps if timed else None
+    keys, poses = [], []
+    for i in range(len(recording)):
+        scan = recording.raw(i)
+        if clock is None:
+            scan.times = None
+        try:
+            pose, after_s = odometry.add(scan)
+        except InvalidScan as error:
+            raise DatasetError(f"{recording.where(i)}: {error}") from error
+        keys.append(float(recording.indices[i]) if clock is None else float(clock[i]) + after_s)
+        poses.append(pose)
+        if progress:
+            progress(i + 1, len(recording))
+    return Trajectory(np.array(keys), np.array(poses))
+
+
+def odometry_path(path: Path, topic: str | None = None) -> Path:
+    """Return the file of stored odometry, beside the recording at ``path``."""
+    place = path.resolve()
+    part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
+    return place.parent / f"{place.name}{part}.odometry.tum"
+
+
+def kept_odometry(file: Path, recording: RecordedSequence) -> bool:
+    """Return whether a file holds odometry of these scans: same number, same times."""
+    if not file.is_file():
+        return False
+    try:
+        stamps = read_trajectory(file).stamps
+    except DatasetError:
+        return False
+    wanted = recording.stamps
+    if wanted is None or not (wanted % 1).any():
+        wanted = recording.indices.astype(np.float64)
+    return len(stamps) == len(wanted) and bool(np.abs(stamps - wanted).max() <= 1.0)
+
+
+def compute_odometry(
+    recording: RecordedSequence, file: Path, progress: Callable[[int, int], None] | None = None
+) -> Trajectory:
+    """Run :func:`lidar_odometry` and write its poses to a TUM file.
+
+    Raise DatasetError early if the file's folder is not writable, and as the odometry does.
+    """
+    if not os.access(file.parent, os.W_OK):
+        raise DatasetError(f"{file}: folder not writable: choose another file with --out")
+    trajectory = lidar_odometry(recording, progress=progress)
+    write_tum(file, trajectory)
+    return trajectory

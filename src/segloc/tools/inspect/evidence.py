@@ -1,0 +1,246 @@
+"""Evidence for and against the best pose of a query, and over the runner-up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...likelihood import (
+    FEATURES,
+    Count,
+    Evidence,
+    Model,
+    Observation,
+    ScoredPose,
+    Walls,
+    features_of,
+    walls_over,
+)
+from ...likelihood.model import as_by_chance, known_odds
+from ...pipeline import Search
+from ...system.text import counted
+
+LABELS = {
+    "flush": "walls",
+    "ground": "ground",
+    "free_space": "free space",
+    "inliers_over_rival": "segments",
+    "known_over_rival": "points",
+    "seen_over_rival": "map in view",
+    "walls_over_rival": "wall by wall",
+}
+"""Names of the features in texts."""
+MIN_LOG_ODDS = 0.05
+"""Share in log-odds below which a feature counts neither for nor against a pose."""
+
+
+class _Unmeasured(NamedTuple):
+    """A pose at which nothing was measured."""
+
+    inliers: int = as_by_chance(np.eye(4))
+    known: Evidence = Evidence(0, 0, 0)
+    seen: Count = Count(0, 0)
+    inside: Count = Count(0, 0)
+    flush: Count = Count(0, 0)
+    ground: Count = Count(0, 0)
+
+
+_CHANCE_INLIERS = _Unmeasured().inliers
+_CHANCE_SHARE = 1.0 / (1.0 + math.exp(-known_odds(_Unmeasured().known)))
+_CHANCE_SEEN = 0.5
+_WORTH_NOTHING = features_of(_Unmeasured(), (), _CHANCE_INLIERS, 0.0)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One feature of the best pose.
+
+    Attributes
+    ----------
+    name : str
+        Name in the model.
+    log_odds : float
+        Share in the log-odds of the pose; 0 of what was not measured.
+    words : str
+        What was measured, and with what it is compared.
+    over : float
+        Share in the log-odds of the pose over the runner-up; 0 without one.
+    beside : str
+        What was measured at the pose and at the runner-up; "" without one.
+    """
+
+    name: str
+    log_odds: float
+    words: str
+    over: float = 0.0
+    beside: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name in texts."""
+        return LABELS[self.name]
+
+
+def prior_log_odds(model: Model) -> float:
+    """Return the log-odds of a pose before anything is measured."""
+    return model.log_ratio(_WORTH_NOTHING)
+
+
+def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
+    """Return the share of each feature in the log-odds of the most probable place."""
+    best, *others = found.posterior.places
+    fit, over, beside = _fit(found, best), (0.0,) * len(FEATURES), dict.fromkeys(FEATURES, "")
+    words = _measured(found, fit)
+    if others:
+        over = tuple(np.subtract(best.features, others[0].features).tolist())
+        beside = _beside(fit, _fit(found, others[0]))
+    return tuple(
+        Part(
+            name,
+            model.weights[name] * (best.features[k] - _WORTH_NOTHING[k]),
+            words[name],
+            model.weights[name] * over[k],
+            beside[name],
+        )
+        for k, name in enumerate(FEATURES)
+    )
+
+
+def evidence_rows(
+    prior: float, parts: Sequence[Part]
+) -> Iterator[tuple[str, list[tuple[float, str, str]]]]:
+    """Yield groups of evidence, each with its shares in log-odds, labels and words.
+
+    ``prior`` is :func:`prior_log_odds`. The largest share of a group comes first.
+    """
+    rows = [(part.log_odds, part.label, part.words) for part in parts]
+    rows.append((prior, "prior", "before anything is measured: most poses are wrong"))
+    rows.sort(key=lambda row: -abs(row[0]))
+    for name, chosen in (
+        ("for this pose", [row for row in rows if row[0] >= MIN_LOG_ODDS]),
+        ("against it", [row for row in rows if row[0] <= -MIN_LOG_ODDS]),
+        ("neither", [(0.0, *row[1:]) for row in rows if abs(row[0]) < MIN_LOG_ODDS]),
+    ):
+        if chosen:
+            yield name, chosen
+
+
+def runner_up_rows(parts: Sequence[Part]) -> list[tuple[float, str, str]]:
+    """Return the features in which the best pose and the runner-up differ, the largest first."""
+    rows = [(part.over, part.label, part.beside) for part in parts if part.beside]
+    return sorted(
+        (row for row in rows if abs(row[0]) >= MIN_LOG_ODDS), key=lambda row: -abs(row[0])
+    )
+
+
+def _fit(found: Search, place: ScoredPose) -> Observation:
+    """Return what was measured at a place of the posterior."""
+    return next(fit for fit in found.fits if fit.T_map_local is place.T_map_local)
+
+
+def _known(fit: Observation) -> Count:
+    """Return the points on the map, of those in known space."""
+    return Count(fit.known.on, fit.known.on + fit.known.off)
+
+
+def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
+    """Return each share that is measured at a pose, in words, and why it may be unknown."""
+    return {
+        "flush": (
+            fit.flush,
+            "of the wall points lie on the map's walls",
+            "no walls of the map near those of the query",
+        ),
+        "ground": (
+            fit.ground,
+            "of the ground points lie on the map's ground",
+            "no ground of the map near that of the query",
+        ),
+        "free_space": (
+            fit.inside,
+            "of the surfaces lie in space that is free in the map",
+            "no free space of the map is known",
+        ),
+        "known_over_rival": (
+            _known(fit),
+            "of the points in known space lie on the map",
+            "the map knows nothing where the points lie",
+        ),
+        "seen_over_rival": (
+            fit.seen,
+            "of the map in view is seen",
+            "nothing of the map is in view",
+        ),
+    }
+
+
+def _measured(found: Search, fit: Observation) -> dict[str, str]:
+    """Describe what was measured at a pose, and with what it is compared."""
+    words = {
+        name: f"{count.share:.0%} {what}" if count.of else f"not measured: {missing}"
+        for name, (count, what, missing) in _counts(fit).items()
+    }
+    others = [place for place in found.places if place.fit is not fit]
+    aligned = (place.aligned for place in others if place.aligned is not None)
+    rival = max(aligned, key=lambda one: one.overlap, default=None)
+    overlap, seen = (0.0, 0.0) if rival is None else (rival.overlap, rival.seen.share or 0.0)
+    words["known_over_rival"] += _elsewhere(overlap, _CHANCE_SHARE)
+    words["seen_over_rival"] += _elsewhere(seen, _CHANCE_SEEN)
+    inliers = max([0, *(place.inliers for place in others)])
+    words["inliers_over_rival"] = counted(fit.inliers, "segments", "agree") + (
+        f"; {inliers} elsewhere" if inliers > _CHANCE_INLIERS else f"; {_CHANCE_INLIERS} by chance"
+    )
+    walls = [other.walls for other in found.fits if other is not fit]
+    words["walls_over_rival"] = _walls(fit.walls, walls)
+    return words
+
+
+def _elsewhere(share: float, by_chance: float) -> str:
+    """Return what a share at the pose is compared with: elsewhere, or chance if that is more."""
+    return f"; {share:.0%} elsewhere" if share > by_chance else f"; {by_chance:.0%} by chance"
+
+
+def _walls(here: Walls, others: Sequence[Walls]) -> str:
+    """Count the patches of walls that tell a pose from the place that explains them best."""
+    known = int((here.weight > 0.0).sum())
+    if not known:
+        return "not measured: the map knows nothing about the walls of the query"
+    compared = min((None, *others), key=lambda other: walls_over(here, other))
+    better, worse = _told_apart(here, compared)
+    than = "by chance" if compared is None else "elsewhere"
+    return f"of {counted(known, 'pieces')} of wall {better} fit better than {than}, {worse} worse"
+
+
+def _told_apart(here: Walls, other: Walls | None) -> tuple[int, int]:
+    """Count the patches that fit better at one pose than at another, and those that fit worse."""
+
+    def patch(walls: Walls, k: int) -> Walls:
+        return Walls(*(part[k : k + 1] for part in walls))
+
+    signs = [
+        walls_over(patch(here, k), None if other is None else patch(other, k))
+        for k in range(len(here.weight))
+    ]
+    return sum(sign > 0 for sign in signs), sum(sign < 0 for sign in signs)
+
+
+def _beside(fit: Observation, other: Observation) -> dict[str, str]:
+    """Describe what was measured at two poses."""
+    there = _counts(other)
+    words = {
+        name: f"{_share(count)} {what}, {_share(there[name][0])} at the runner-up"
+        for name, (count, what, _) in _counts(fit).items()
+    }
+    agree = counted(fit.inliers, "segments", "agree")
+    words["inliers_over_rival"] = f"{agree}, {other.inliers} at the runner-up"
+    better, worse = _told_apart(fit.walls, other.walls)
+    words["walls_over_rival"] = f"{better} pieces of wall fit better here, {worse} at the runner-up"
+    return words
+
+
+def _share(count: Count) -> str:
+    return "an unknown share" if count.share is None else f"{count.share:.0%}"

@@ -1,0 +1,266 @@
+"""Every dataset's format: points, poses and stamps, against the truth and second readers."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.datasets import (
+    HELIPR_POINTS,
+    START,
+    Drive,
+    boreas,
+    helipr,
+    kitti,
+    kitti_raw,
+    mulran,
+    nclt,
+    newer_college,
+    nuscenes,
+    wild_places,
+)
+
+from segloc import geometry
+from segloc.errors import DatasetError
+from segloc.tools.datasets import open_sequence, poses_at
+from segloc.tools.io import Trajectory, write_tum
+
+DRIVE = Drive.make()
+
+
+def sensor_of(name: str) -> Callable[[Path, Drive], Path]:
+    return lambda root, drive: helipr(root, drive, name)
+
+
+WRITERS: dict[str, tuple[Callable[[Path, Drive], Path], str]] = {
+    "KITTI odometry": (kitti, "velodyne"),
+    "KITTI raw": (kitti_raw, "velodyne_points/data"),
+    "Newer College": (newer_college, "raw_format/ouster_scan"),
+    "MulRan": (mulran, "Ouster"),
+    "NCLT": (nclt, "velodyne_sync"),
+    "Boreas": (boreas, "lidar"),
+    "nuScenes": (nuscenes, ""),
+    "Wild-Places": (wild_places, "Clouds"),
+} | {f"HeLiPR {name}": (sensor_of(name), f"LiDAR/{name}") for name in HELIPR_POINTS}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_points_poses_and_stamps_are_those_that_were_recorded(name: str, tmp_path: Path) -> None:
+    write, inner = WRITERS[name]
+    path = write(tmp_path, DRIVE)
+    sequence = open_sequence(path)
+    assert sequence.format == name.split(" ")[0] if "HeLiPR" in name else name
+    assert sequence.indices.tolist() == list(range(len(DRIVE.stamps)))
+    np.testing.assert_allclose(np.diff(sequence.stamps), 0.1, atol=1e-5)
+    steps = geometry.inverse(sequence.poses[0]) @ sequence.poses
+    truth = geometry.inverse(DRIVE.poses[0]) @ DRIVE.poses
+    np.testing.assert_allclose(steps, truth, atol=2e-5)
+    assert sequence.poses[0, 2, 2] > 0.99  # up is up
+    clouds = []
+    for i in range(len(sequence)):
+        scan = sequence.scan(i)
+        assert len(scan) == len(DRIVE.landmarks)
+        assert scan.stamp == sequence.stamps[i]
+        clouds.append(geometry.transform(scan.T_odom_sensor, scan.points))
+        np.testing.assert_allclose(
+            scan.points, DRIVE.seen(i), atol=3.5e-3
+        )  # NCLT has steps of 5 mm
+    np.testing.assert_allclose(clouds[-1], clouds[0], atol=8e-3)
+    if inner:  # a path to the scans is a path to the recording
+        within = open_sequence(path / inner)
+        assert (within.format, within.name) == (sequence.format, sequence.name)
+    assert len(pickle.loads(pickle.dumps(sequence)).scan(1)) == len(DRIVE.landmarks)
+    part = open_sequence(path, select="1:2")
+    assert part.poses is not None
+    assert part.indices.tolist() == [1, 2]
+    np.testing.assert_array_equal(part.scan(0).points, sequence.scan(1).points)
+    without = open_sequence(path, poses="none")
+    assert without.poses is None
+    assert without.scan(0).T_odom_sensor is None
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_scan_that_was_cut_off_is_named(name: str, tmp_path: Path) -> None:
+    write, inner = WRITERS[name]
+    path = write(tmp_path, DRIVE)
+    folder = path / (inner or "sweeps/LIDAR_TOP")
+    victim = sorted(folder.iterdir())[2]
+    victim.write_bytes(victim.read_bytes()[:-3])
+    sequence = open_sequence(path)
+    assert len(sequence.scan(1)) == len(DRIVE.landmarks)
+    with pytest.raises(DatasetError, match=victim.name.replace(".", r"\.")) as caught:
+        sequence.scan(2)
+    assert "\n" not in str(caught.value)
+
+
+def test_second_readers_of_poses_and_points(tmp_path: Path) -> None:
+    pytest.importorskip("kiss_icp")
+    from kiss_icp.datasets.boreas import BoreasDataset
+    from kiss_icp.datasets.helipr import HeLiPRDataset
+    from kiss_icp.datasets.kitti import KITTIOdometryDataset
+    from kiss_icp.datasets.nclt import NCLTDataset
+
+    def compare(path: Path, poses: np.ndarray) -> None:
+        ours = open_sequence(path).poses
+        rows = poses.astype(np.float64)
+        np.testing.assert_allclose(
+            np.linalg.inv(rows[0]) @ rows, geometry.inverse(ours[0]) @ ours, atol=1e-5
+        )
+
+    compare(kitti(tmp_path, DRIVE), KITTIOdometryDataset(tmp_path, "0").gt_poses)
+    path = boreas(tmp_path, DRIVE)
+    other = BoreasDataset(path)
+    compare(path, other.gt_poses)
+    np.testing.assert_array_equal(other[1][0], open_sequence(path).raw(1).points)
+    path = helipr(tmp_path, DRIVE, "Ouster")
+    another = HeLiPRDataset(path, "Ouster")
+    compare(path, another.gt_poses)
+    read = another.read_point_cloud(another.get_data(1))
+    ours = open_sequence(path).raw(1).points
+    assert len(read) == len(ours) - 1  # it leaves out the last
+    np.testing.assert_allclose(read, ours[:-1])
+    path = nclt(tmp_path, DRIVE)
+    truth = tmp_path / "ground_truth"
+    truth.mkdir()
+    lines = (path / f"groundtruth_{path.name}.csv").read_text().splitlines()[1:]
+    edges = [line.replace(line.split(",")[0], str(int(line.split(",")[0]) + shift), 1)
+             for line, shift in ((lines[0], -10**6), (lines[-1], 10**6))]  # fmt: skip
+    text = "\n".join([edges[0], *lines, edges[1]])
+    (truth / f"groundtruth_{path.name}.csv").write_text(text)
+    compare(path, NCLTDataset(path).gt_poses)
+
+
+def test_nclt_far_points_are_not_negative(tmp_path: Path) -> None:
+    """Values of 32 768 and more, which int16 wraps: from 63.84 m on."""
+    drive = Drive(DRIVE.stamps, np.array([[70.0, 80.0, 1.0], [-70.0, -80.0, 1.0]]))
+    points = open_sequence(nclt(tmp_path, drive)).scan(0).points
+    np.testing.assert_allclose(points, drive.seen(0), atol=3.5e-3)
+
+
+def test_the_early_format_of_aeva(tmp_path: Path) -> None:
+    sequence = open_sequence(helipr(tmp_path, DRIVE, "Aeva", early=True))
+    np.testing.assert_allclose(sequence.scan(1).points, DRIVE.seen(1), atol=1e-5)
+
+
+def test_several_sensors_have_to_be_chosen_from(tmp_path: Path) -> None:
+    path = helipr(tmp_path, DRIVE, "Ouster", "Avia")
+    with pytest.raises(DatasetError, match=r"several sensors.*--topic Ouster\|Avia"):
+        open_sequence(path)
+    assert open_sequence(path, topic="Avia").frame == "Avia"
+    assert open_sequence(path / "LiDAR" / "Ouster").frame == "Ouster"
+    with pytest.raises(DatasetError, match="no 'Aeva'; available: Ouster, Avia"):
+        open_sequence(path, topic="Aeva")
+    with pytest.raises(DatasetError, match="KITTI odometry has no topics, so no 'x'"):
+        open_sequence(kitti(tmp_path, DRIVE), topic="x")
+
+
+def test_poses_of_the_user_by_time_and_by_number(tmp_path: Path) -> None:
+    path = mulran(tmp_path, DRIVE)
+    late = DRIVE.stamps[1] + 0.02  # scan 0 and 1 are before them
+    times = np.arange(late, DRIVE.stamps[-1] + 0.05, 0.03)
+    poses = np.array([DRIVE.pose(t) for t in times])
+    write_tum(tmp_path / "odometry.tum", Trajectory(times, poses))
+    sequence = open_sequence(path, poses=str(tmp_path / "odometry.tum"))
+    assert sequence.indices.tolist() == [2, 3, 4]
+    assert sequence.notes[0].startswith(
+        f"2 of 5 scans dropped: no pose in {tmp_path / 'odometry.tum'}"
+    )
+    np.testing.assert_allclose(sequence.poses, DRIVE.poses[2:], atol=2e-5)
+    np.testing.assert_allclose(sequence.scan(0).points, DRIVE.seen(2), atol=1e-5)
+    write_tum(tmp_path / "index.tum", Trajectory(np.arange(5.0), DRIVE.poses))
+    np.testing.assert_allclose(
+        open_sequence(path, poses=str(tmp_path / "index.tum")).poses, DRIVE.poses, atol=1e-8
+    )
+
+
+def test_truth_is_matched_scan_by_scan(tmp_path: Path) -> None:
+    """Though a recording's own poses leave out its first scan, and the truth its last."""
+    path = mulran(tmp_path, DRIVE)
+    file = path / "global_pose.csv"
+    rows = file.read_text().splitlines()
+    kept = [row for row in rows if int(row.split(",")[0]) * 1e-9 > START + 0.05]
+    file.write_text("\n".join(kept))
+    sequence = open_sequence(path)
+    assert sequence.indices.tolist() == [1, 2, 3, 4]
+    truth = tmp_path / "truth.tum"
+    write_tum(truth, Trajectory(DRIVE.stamps[:4], DRIVE.poses[:4]))
+    known = poses_at(sequence, path, truth)
+    np.testing.assert_allclose(known[:3], DRIVE.poses[1:4], atol=1e-6)
+    assert np.isnan(known[3]).all()
+    write_tum(truth, Trajectory(DRIVE.stamps, DRIVE.poses))
+    np.testing.assert_allclose(poses_at(sequence, path, truth), DRIVE.poses[1:], atol=1e-6)
+
+
+def test_poses_on_another_clock_are_refused(tmp_path: Path) -> None:
+    path = mulran(tmp_path, DRIVE)
+    write_tum(tmp_path / "gps.tum", Trajectory(DRIVE.stamps - START + 0.5, DRIVE.poses))
+    with pytest.raises(DatasetError, match=r"gps\.tum: no pose for any scan: poses are from 0\.5"):
+        open_sequence(path, poses=str(tmp_path / "gps.tum"))
+
+
+def test_a_gap_in_the_poses_is_not_bridged(tmp_path: Path) -> None:
+    drive = Drive(START + 0.5 * np.arange(12), DRIVE.landmarks)
+    path = mulran(tmp_path, drive)
+    file = path / "global_pose.csv"
+    lines = file.read_text().splitlines()
+    kept = [
+        line for line in lines if not START + 1.9 < int(line.split(",")[0]) * 1e-9 < START + 3.6
+    ]
+    file.write_text("\n".join(kept))
+    sequence = open_sequence(path)
+    assert sequence.indices.tolist() == [0, 1, 2, 3, 8, 9, 10, 11]
+    assert sequence.notes[0].startswith("4 of 12 scans dropped: no pose in global_pose.csv")
+
+
+def test_points_with_times_are_brought_to_the_stamp(tmp_path: Path) -> None:
+    """Each landmark is seen from where the sensor was at the point's own time."""
+    path = boreas(tmp_path, DRIVE)
+    for stamp in DRIVE.stamps:
+        times = np.linspace(-0.05, 0.05, len(DRIVE.landmarks)).astype(np.float32)
+        seen = DRIVE.swept(stamp + times.astype(np.float64))
+        rows = np.column_stack([seen, np.ones((len(seen), 2)), times]).astype("<f4")
+        (path / "lidar" / f"{round(stamp * 1e6)}.bin").write_bytes(rows.tobytes())
+    for i in (1, 2, 3):  # inside the poses
+        np.testing.assert_allclose(open_sequence(path).scan(i).points, DRIVE.seen(i), atol=2e-4)
+    raw = open_sequence(path, deskew=False).scan(2)
+    assert raw.times is not None
+    assert np.abs(raw.points - DRIVE.seen(2)).max() > 0.1
+    assert open_sequence(path).scan(2).times is None
+
+
+def test_missing_times_and_calibration(tmp_path: Path) -> None:
+    path = kitti(tmp_path, DRIVE)
+    (path / "times.txt").write_text("0.0\n0.1\n")
+    sequence = open_sequence(path)
+    assert sequence.stamps is None
+    assert sequence.notes == ("times.txt has 2 rows, but scans go up to 4: not used",)
+    (path / "times.txt").unlink()
+    assert open_sequence(path).notes == ("times.txt is missing: scans have no times",)
+    text = (path / "calib.txt").read_text()
+    (path / "calib.txt").write_text(text.replace("Tr", "Tx"))
+    unposed = open_sequence(path)
+    assert unposed.poses is None
+    assert any("calib.txt: no line 'Tr'" in note for note in unposed.notes)
+    raw = kitti_raw(tmp_path, DRIVE)
+    (raw / "velodyne_points" / "timestamps.txt").write_text("yesterday\n")
+    with pytest.raises(DatasetError, match=r"timestamps\.txt: "):
+        open_sequence(raw)
+    (raw.parent / "calib_imu_to_velo.txt").unlink()
+    (raw / "velodyne_points" / "timestamps.txt").unlink()
+    (note,) = [note for note in open_sequence(raw).notes if "calib" in note]
+    assert "calib_imu_to_velo.txt is missing" in note
+
+
+@pytest.mark.parametrize("name", ["MulRan", "NCLT", "Boreas", "Newer College", "HeLiPR Avia"])
+@pytest.mark.parametrize("harm", [b"", b"\n\n", b"x,y\n", b"1,2,3\n"])
+def test_pose_files_that_are_none(name: str, harm: bytes, tmp_path: Path) -> None:
+    path = WRITERS[name][0](tmp_path, DRIVE)
+    file = next(file for file in path.rglob("*") if file.suffix in (".csv", ".txt"))
+    file.write_bytes(harm)
+    assert open_sequence(path, poses="none").poses is None  # read on request only
+    sequence = open_sequence(path)
+    assert sequence.poses is None
+    assert [file.name in note and "\n" not in note for note in sequence.notes] == [True]

@@ -1,0 +1,143 @@
+"""Finished clouds of every format, and of the layouts that mapping software writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples.e57 import e57_file
+from samples.io import pcd, ply
+
+from segloc import DatasetError, geometry
+from segloc.tools.io import clouds, text, write_scan
+from segloc.tools.io.clouds import cloud_files, count_points, read_cloud
+from segloc.tools.io.las import format_laz
+from segloc.types import Float64
+
+UTM = np.array([500_000.0, 5_400_000.0, 300.0])
+
+
+@pytest.fixture
+def points() -> Float64:
+    return np.round(np.random.default_rng(0).uniform(-20, 20, (2500, 3)), 3)
+
+
+def read(path: Path) -> Float64:
+    return np.concatenate(list(read_cloud(path)))
+
+
+def rows(points: Float64, size: int = 8) -> np.ndarray:
+    made = np.zeros(len(points), [("red", "<f4"), *((axis, f"<f{size}") for axis in "xyz")])
+    for axis, values in zip("xyz", points.T, strict=True):
+        made[axis] = values
+    return made
+
+
+@pytest.mark.parametrize("name", ["a.pcd", "b.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv"])
+def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
+    tmp_path: Path, points: Float64, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clouds, "PART", 1000)
+    monkeypatch.setattr(text, "_BLOCK", 40_000)
+    there = points + UTM
+    lines = "".join(f"{x:.3f} {y:.3f} {z:.3f} 9\n" for x, y, z in there)
+    data = {
+        "a.pcd": lambda: pcd(rows(there), "binary"),
+        "b.pcd": lambda: pcd(rows(there), "ascii"),
+        "a.ply": lambda: ply(rows(there), "binary_big_endian", faces=[]),
+        "b.ply": lambda: ply(rows(there), "ascii", faces=[]),
+        "a.laz": lambda: format_laz(there, offset=UTM),
+        "a.xyz": lambda: f"2500\n{lines}".encode(),
+        "a.csv": lambda: f"X,Y,Z,i\n{lines.replace(' ', ',')}".encode(),
+    }[name]()
+    (tmp_path / name).write_bytes(data)
+    parts = list(read_cloud(tmp_path / name))
+    assert len(parts) >= 3
+    assert count_points(tmp_path / name) == pytest.approx(2500, rel=0.001)
+    assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
+
+
+def test_scans_of_an_e57_file_are_read_where_they_stand(tmp_path: Path, points: Float64) -> None:
+    pytest.importorskip("e57")
+    quarter_turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+    T = geometry.yaw_transform(np.pi / 2, (UTM[0], UTM[1], UTM[2]))
+    inside = geometry.transform(geometry.inverse(T), points[100:])
+    scans = (points[:100], (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (inside, quarter_turn, (*UTM,))
+    (tmp_path / "a.e57").write_bytes(e57_file(*scans))
+    assert np.abs(read(tmp_path / "a.e57") - points).max() < 1e-6
+    assert count_points(tmp_path / "a.e57") == len(points)
+    (tmp_path / "b.e57").write_bytes(b"ASTM-E57" + bytes(100))
+    with pytest.raises(DatasetError, match=r"b\.e57: cannot read the E57 file"):
+        read(tmp_path / "b.e57")
+
+
+def test_files_of_several_folders_are_placed_by_their_poses(
+    tmp_path: Path, points: Float64
+) -> None:
+    names = [f"{folder}/{k}.ply" for folder in "ba" for k in (2, 10, 11)]
+    poses = np.stack([geometry.yaw_transform(0.3 * k, (k, 2.0, 1.0)) for k in range(len(names))])
+    parts = np.array_split(points, len(names))
+    for name, T, part in zip(names, poses, parts, strict=True):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_scan(tmp_path / name, geometry.transform(geometry.inverse(T), part))
+    given = [tmp_path / "b", tmp_path / "a", tmp_path / "b" / "2.ply"]
+    files = cloud_files(given)
+    assert files == [tmp_path / name for name in names]
+    assert [count_points(file) for file in files] == [len(part) for part in parts]
+    assert np.abs(np.concatenate(list(read_cloud(given, poses=poses))) - points).max() < 1e-4
+    with pytest.raises(DatasetError, match="5 poses for 6 files"):
+        next(read_cloud(given, poses=poses[:5]))
+
+
+def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
+    folder = tmp_path / "map" / "pointcloud_map.pcd"
+    folder.mkdir(parents=True)
+    left = points[:, 0] < 0
+    for k, part in enumerate((points[left], points[~left])):
+        (folder / f"{20 * k}_0.pcd").write_bytes(pcd(rows(part, size=4), "binary"))
+    (tmp_path / "map" / "pointcloud_map_metadata.yaml").write_text("x_resolution: 20\n")
+    for where in (folder, tmp_path / "map"):
+        assert len(read(where)) == len(points)
+
+
+def test_a_dump_of_glim(tmp_path: Path, points: Float64) -> None:
+    T = geometry.yaw_transform(0.4, (5.0, 2.0, 1.0))
+    folder = tmp_path / "dump" / "000000"
+    folder.mkdir(parents=True)
+    inside = geometry.transform(geometry.inverse(T), points)
+    inside.astype("<f4").tofile(folder / "points_compact.bin")
+    inside.astype("<f4").tofile(folder / "covs_compact.bin")
+    matrix = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in T)
+    (folder / "data.txt").write_text(f"id: 0\nT_world_origin: \n{matrix}\nnum_frames: 1\n")
+    assert np.abs(read(tmp_path / "dump") - points).max() < 1e-4
+
+
+def test_results_of_kiss_slam(tmp_path: Path, points: Float64) -> None:
+    folder = tmp_path / "latest" / "local_maps" / "plys"
+    folder.mkdir(parents=True)
+    for k, part in enumerate(np.array_split(points, 2)):
+        write_scan(folder / f"{k:06d}.ply", part)
+    (folder.parent / "local_map_graph.g2o").write_text("FIX 0\n")
+    (tmp_path / "latest" / "poses_kitti.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    assert len(read(tmp_path / "latest")) == len(points)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.pcd", b"VERSION 0.7\n", "not a PCD file"),
+        ("b.pcd", pcd(rows(np.ones((50, 3))), "binary")[:-9], "promises 50 points"),
+        ("a.ply", b"ply\n", "header"),
+        ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
+        ("c.pcd", pcd(rows(np.ones((50, 3))), "ascii")[:-40], "promises 50 points"),
+        ("a.laz", b"LASF" + bytes(300), "not a LAS file"),
+        ("a.doc", b"text", "not a point cloud"),
+    ],
+)
+def test_damage_is_one_error(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(DatasetError, match=message) as found:
+        read(tmp_path / name)
+    assert name in str(found.value)
+    assert "\n" not in str(found.value)
