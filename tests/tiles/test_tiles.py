@@ -30,6 +30,7 @@ from segloc.tiles import (
 )
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
+from segloc.tiles.pieces import Pieces
 from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
 from segloc.tracker import TrackerConfig
@@ -459,7 +460,8 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
 
     with monkeypatch.context() as patched:
         patched.setattr(TiledMap, "tile", tile)
-        patched.setattr(TiledMap, "together", lambda *_: pytest.fail("clouds are compared"))
+        patched.setattr(Pieces, "cloud", lambda *_: pytest.fail("clouds are compared"))
+        patched.setattr(Pieces, "occupancy", lambda *_: pytest.fail("clouds are compared"))
         answer = localizer.localize(elsewhere)
     assert answer.reason is Reason.NO_CONSISTENT_MATCHES and answer.counts["matches"] > 0
     assert 0 < len(set(opened)) <= 4 < len(index.tiles)

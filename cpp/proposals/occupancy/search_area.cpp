@@ -81,12 +81,13 @@ void SearchArea::lay_flat() {
   }
 }
 
-void SearchArea::add_up(const std::vector<std::uint8_t>& image, const std::int32_t* offsets,
+void SearchArea::add_up(const std::vector<std::uint8_t>& image,
+                        const std::vector<std::size_t>& runs, const std::int32_t* offsets,
                         const std::uint8_t* slices, std::size_t m,
                         std::vector<std::uint16_t>& scores) const {
   const int top = map_.levels() - 1;
   const std::int32_t last = (1 << top) - 1;
-  std::vector<std::size_t> columns(m), runs(runs_.size());
+  std::vector<std::size_t> columns(m), begins;
   for (std::size_t i = 0; i < m; ++i) {
     const std::int32_t x = offsets[2 * i], y = offsets[2 * i + 1];
     const auto place = static_cast<std::size_t>(((y & last) << top) | (x & last));
@@ -94,11 +95,11 @@ void SearchArea::add_up(const std::vector<std::uint8_t>& image, const std::int32
         std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
     columns[i] = place * wide_ * high_ + static_cast<std::size_t>(shift);
   }
-  for (std::size_t k = 0; k < runs.size(); ++k) runs[k] = runs_[k].at;
+  for (const std::size_t run : runs) begins.push_back(runs_[run].at);
   const std::vector<std::uint8_t> all(slices ? 0 : m, std::uint8_t{0xff});
   scores.assign(runs.size() * kRun, 0);
   kernels(parse_isa("auto")).add_slices(image.data(), columns.data(), slices ? slices : all.data(),
-                                        m, runs.data(), runs.size(), scores.data());
+                                        m, begins.data(), begins.size(), scores.data());
 }
 
 }  // namespace segloc

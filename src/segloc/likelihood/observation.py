@@ -170,7 +170,7 @@ class QueryCloud:
     sample : (N, 3) float32
         Points of the overlap.
     aligned : dict
-        Alignments so far, by their start.
+        Alignments so far, by their start and its frame.
     rough : dict
         Rough overlaps so far, by pose.
     """
@@ -437,7 +437,7 @@ class MapCloud:
         """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._config.refine:
             return None
-        key = start.tobytes() + bytes([roughly])
+        key = self._origin.tobytes() + start.tobytes() + bytes([roughly])
         if key not in query.aligned:
             radius = self._config.overlap_radius
             query.aligned[key] = self._aligner.register(

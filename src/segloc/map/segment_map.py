@@ -608,7 +608,7 @@ def replaced(
     prior_map: SegmentMap,
     *,
     segments: Mapping[str, Array] | None = None,
-    points: Float32 | None = None,
+    points: Float32 | Stored | None = None,
     trajectory: Float64 | None = None,
 ) -> SegmentMap:
     """Return the map with other columns, points of the cloud or poses, and the rest as it is."""

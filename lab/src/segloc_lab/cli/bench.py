@@ -35,6 +35,7 @@ WORKS = (
     "stages",
     "query",
     "million",
+    "tiles",
     "accumulated",
     "os1_128",
     "build",
