@@ -276,19 +276,19 @@ class Tracker:
         """Search the map, the hypotheses among the places."""
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(scans, times)
-        known = _known(request, query.cloud)
+        known = _known_poses(request, query.cloud)
         found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
         if callback is not None:
             callback(query, found, result)
-        return self._filled(request.view, found.posterior, query.cloud, searched=True), found
+        return self._fill(request.view, found.posterior, query.cloud, searched=True), found
 
     def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> View:
         """Compare the newest scan at the hypotheses alone."""
         cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
-        posterior = self.localizer.compare(cloud, _known(request, cloud))
-        return self._filled(request.view, posterior, cloud)
+        posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
+        return self._fill(request.view, posterior, cloud)
 
-    def _filled(
+    def _fill(
         self, view: View, posterior: Posterior, cloud: LocalCloud, searched: bool = False
     ) -> View:
         """Return a view with the places of a posterior."""
@@ -298,7 +298,7 @@ class Tracker:
             Reading(
                 place.T_map_local @ T_local_odom,
                 place.evidence,
-                known.told(place.unknown),
+                known.information(place.unknown),
                 math.log(max(p, _MIN_PROBABILITY) / max(none, _MIN_PROBABILITY)),
                 geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
             )
@@ -364,7 +364,7 @@ class Tracker:
             self.rolling.clear()
 
 
-def _known(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
+def _known_poses(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
     """Return the hypotheses as poses T_map_local of a cloud."""
     T_odom_local = request.view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
     return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]

@@ -279,7 +279,7 @@ class World:
         carried_on = np.array([kind is Status.DEGRADED for kind in kinds])
         off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
         right, false, n = sure & ~off, sure & off, carried.first
-        path = geometry.travelled(truths[n:])
+        path = geometry.distance_travelled(truths[n:])
         spacing = self.kind.spacing_m
 
         def first(found: NDArray[np.bool_]) -> float | None:
