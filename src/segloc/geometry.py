@@ -158,7 +158,7 @@ def spread(length: int, count: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, length - 1, max(1, count)).round())]
 
 
-def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def distance_travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance travelled up to each of (N, 4, 4) poses [m], (N,)."""
     return arc_length(poses[:, :3, 3])
 

@@ -267,7 +267,7 @@ class Tracker:
         """Search the map, the hypotheses among the places."""
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(scans, times)
-        known = _known(request, query.cloud)
+        known = _known_poses(request, query.cloud)
         search, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
         places = self._places(request, search.posterior, query.cloud)
         return replace(request, places=places, searched=True, found=((query, search, result),))
@@ -275,7 +275,7 @@ class Tracker:
     def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
         cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
-        posterior = self.localizer.compare(cloud, _known(request, cloud))
+        posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
         return replace(request, places=self._places(request, posterior, cloud))
 
     def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:
@@ -286,7 +286,7 @@ class Tracker:
             Reading(
                 place.T_map_local @ T_local_odom,
                 place.evidence,
-                known.told(place.unknown),
+                known.information(place.unknown),
                 math.log(max(p, _MIN_PROBABILITY) / max(none, _MIN_PROBABILITY)),
                 geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
             )
@@ -350,7 +350,7 @@ def _is_found(view: QueryRequest) -> bool:
     return view.found[-1][1].reason is None
 
 
-def _known(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
+def _known_poses(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
     """Return the hypotheses as poses T_map_local of a cloud."""
     T_odom_local = request.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
     return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]

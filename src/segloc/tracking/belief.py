@@ -237,7 +237,7 @@ class Belief:
             h.probability *= math.exp(gain)
             h.evidence, h.seen_at = seen.evidence + (1.0 - seen.told) * before, view.at
             if view.searched:
-                h.probability = max(h.probability, self._found(seen))
+                h.probability = max(h.probability, self._share_of(seen))
             if seen.evidence > 0.0:
                 h.views += view.new
                 self._move(h, seen, view)
@@ -256,7 +256,7 @@ class Belief:
         if (track := self.track) is not None:
             if track.probability >= self.config.localized_from:
                 return Status.LOCALIZED, ""
-            return Status.DEGRADED, self.problem or self._unsupported(track)
+            return Status.DEGRADED, self.problem or self._loss_reason(track)
         if self.lost < 0.5:
             several = sum(h.probability > 0.1 for h in self.hypotheses) > 1
             return Status.CANDIDATE, "several places fit" if several else "no agreement yet"
@@ -264,9 +264,9 @@ class Belief:
 
     def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
         """Return the covariance of the track's pose, with the drift since it was measured."""
-        return None if self.track is None else self._predicted(self.track, T_odom_sensor)
+        return None if self.track is None else self._predict(self.track, T_odom_sensor)
 
-    def _predicted(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
+    def _predict(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
         if h.covariance is None:
             return None
         path, config = max(0.0, self.travelled - h.at), self.config
@@ -282,9 +282,9 @@ class Belief:
         """Add a place: it takes its share of "lost"."""
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
-        self.hypotheses.append(Hypothesis(*where, self._found(place), place.evidence, view.at))
+        self.hypotheses.append(Hypothesis(*where, self._share_of(place), place.evidence, view.at))
 
-    def _found(self, place: Reading) -> float:
+    def _share_of(self, place: Reading) -> float:
         """Return the probability of a place, before normalisation, if it was lost before."""
         return self.lost * math.exp(min(place.log_ratio, _MAX_LOG_RATIO))
 
@@ -293,7 +293,7 @@ class Belief:
 
         A correction beyond what both allow is made once the next view repeats it.
         """
-        before, T_sensor = self._predicted(h, view.T_odom_sensor), view.T_odom_sensor
+        before, T_sensor = self._predict(h, view.T_odom_sensor), view.T_odom_sensor
         if seen.covariance is None or view.new == 0.0:
             return
         T, covariance = seen.T_map_odom, seen.covariance
@@ -341,9 +341,9 @@ class Belief:
         self.hypotheses = sorted(kept, key=lambda h: -h.probability)
         self.lost = max(0.0, 1.0 - sum(h.probability for h in kept))
         if (track := self.track) is None:
-            self.problem = self.problem or (self._unsupported(before) if before else "")
+            self.problem = self.problem or (self._loss_reason(before) if before else "")
         elif before is None or track.key != before.key:
             self.problem = ""
 
-    def _unsupported(self, track: Hypothesis) -> str:
+    def _loss_reason(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"

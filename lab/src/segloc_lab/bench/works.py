@@ -241,7 +241,7 @@ def simulated(sensor: str, firings: int, *, length_m: float = 0.0) -> Place:
     queries = []
     for seed in (0, 1):
         later = drive(sensor, firings, session=1, seed=seed).with_odometry()
-        enough = np.flatnonzero(geometry.travelled(later.truth) >= max(length_m, ASIDE_M))
+        enough = np.flatnonzero(geometry.distance_travelled(later.truth) >= max(length_m, ASIDE_M))
         for i in spread(enough, SCANS).tolist():
             scans = behind(later, i, length_m)
             queries.append(Input([scans], later.truth[i, None] if seed == 0 else None))

@@ -176,7 +176,7 @@ def stream_record(stream: Stream) -> dict[str, Any]:
             for step, each in zip(steps, errors, strict=True)
         ]
     )
-    metres = np.diff(geometry.travelled(stream.truths), prepend=0.0)
+    metres = np.diff(geometry.distance_travelled(stream.truths), prepend=0.0)
     degraded = [
         within_three_sigma(step.state, T)
         for step, T in zip(steps, truths, strict=True)
@@ -238,7 +238,7 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
     """Return metres until localized, from places of the map; None off the map's trajectory."""
     if stream.starts_m == np.inf:
         return []
-    travelled, found = geometry.travelled(stream.truths), []
+    travelled, found = geometry.distance_travelled(stream.truths), []
     for start in np.arange(0.0, travelled[-1], stream.starts_m):
         first = int(np.searchsorted(travelled, start))
         stays = covered[first : int(np.searchsorted(travelled, start + stream.give_up_m))]
