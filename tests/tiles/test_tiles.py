@@ -25,6 +25,7 @@ from segloc.tiles import (
     TiledMap,
     cut_tiles,
     merge_into_tiles,
+    pieces,
     tiled_map,
     update_tiles,
 )
@@ -367,6 +368,37 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
         (tmp_path / tile.file).unlink()
     with pytest.raises(MapFormatError, match="tile_"):
         TiledLocalizer(TiledMap(tmp_path)).localize(scan)
+
+
+@pytest.mark.slow
+def test_answers_in_tiles_are_those_of_one_map(
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of places in the map and elsewhere; no cloud is prepared twice for a query."""
+    prepared, plain = list[SegmentMap](), pieces.likelihood_of
+
+    def counted(part: SegmentMap, config: Config) -> Any:
+        prepared.append(part)
+        return plain(part, config)
+
+    monkeypatch.setattr(pieces, "likelihood_of", counted)
+    cut_tiles(plaza_map, tmp_path, size_m=50.0)
+    tiles = TiledMap(tmp_path, memory_bytes=1)
+    assert 1 < len(tiles) <= pieces.MAX_ALL
+    whole, localizer = Localizer(plaza_map, GEO), TiledLocalizer(tiles, GEO)
+    there = geometry.yaw_transform(-2.0, (-8.0, 5.0, 1.7))
+    found = 0
+    for world, pose in ((plaza, TRUE), (plaza, there), (Plaza(seed=4242), TRUE)):
+        scan = world.scan(pose, seed=77)
+        prepared.clear()
+        expected, answer = whole.localize(scan), localizer.localize(scan)
+        assert answer.reason is expected.reason
+        assert 0 < len(prepared) <= len(tiles)
+        if expected.localized:
+            found += 1
+            assert np.allclose(answer.T_map_sensor, expected.T_map_sensor, atol=0.02)
+            assert abs(answer.confidence - expected.confidence) < 0.01
+    assert found == 2
 
 
 @pytest.mark.slow
