@@ -140,7 +140,7 @@ def test_the_skin_of_a_ball_is_a_closed_sphere() -> None:
     assert (count == 2).all()  # every edge joins two triangles: no holes
 
 
-def test_a_half_plan_is_half_of_it_and_a_mirrored_one_all_of_it() -> None:
+def test_two_half_plans_are_a_plan() -> None:
     world = offices(3, size_m=40.0)
     plan, inside = plan_of(world), world.interior
     assert inside is not None
@@ -155,5 +155,4 @@ def test_a_half_plan_is_half_of_it_and_a_mirrored_one_all_of_it() -> None:
     assert sum(area(half.triangles) for half in halves) == pytest.approx(area(plan.triangles))
     along = halves[0].triangles.reshape(-1, 3)[:, :2] @ direction
     assert np.ptp(along) < inside.size[0] / 2 + 1.5
-    assert area(plan.mirrored().triangles) == pytest.approx(area(plan.triangles))
     assert "desk" not in {kind for kind, _ in plan.elements}

@@ -3,7 +3,7 @@ r"""Scans and drives of furnished buildings in maps of their plans.
 Each world has a plan without furniture (:mod:`..simulation.plans`), of which a map is built as
 `segloc map from-mesh` does. A later session, with 15 % of the things replaced, is localized in it:
 single scans, and drives of 15 m with odometry. Beside the true plan: one that the building deviates
-from, half of it, its mirror image, plans of the other worlds, and, to compare, a map of scans.
+from, half of it, the mirror image of its map, plans of the other worlds, and a map of scans.
 
 Maps and scans are kept in WORK, answers in a file, so that a run goes on where it stopped.
 
@@ -28,6 +28,7 @@ from segloc.map.from_mesh import build_from_mesh
 from segloc.types import Pose
 
 from ..calibration.rows import errors, is_right
+from ..padding import mirrored
 from ..parallel import kept_results
 from ..recordings import kept
 from ..report import Cell, Table, entries, publish, resumed, share, wilson
@@ -133,7 +134,7 @@ class Site:
             return plan.deviating(np.random.default_rng([self.seed, 90_001]))
         if name == HALF:
             return plan.half(inside.to_world([1.0, 0.0]) - inside.to_world([0.0, 0.0]))
-        return plan.mirrored() if name == MIRRORED else plan
+        return plan
 
     def map(self, name: str, work: Path) -> tuple[SegmentMap, float]:
         """Return a map, and the processor time that it took [s] if it is built now."""
@@ -141,6 +142,8 @@ class Site:
         if path.exists():
             return SegmentMap.load(path), 0.0
         path.parent.mkdir(parents=True, exist_ok=True)
+        if name == MIRRORED:
+            return mirrored(self.map(TRUE, work)[0]), 0.0
         start, config = time.process_time(), Config(threads=1)
         if name == SCANS:
             casts = [kept(first, work / "scans") for first, _ in self.drives()]

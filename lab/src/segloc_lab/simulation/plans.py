@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -65,21 +64,7 @@ class Plan:
             near: Float64 = pieces[pieces.mean(axis=1)[:, :2] @ direction < middle]
             return near
 
-        return self._each(kept)
-
-    def mirrored(self) -> Plan:
-        """Return the plan behind a mirror."""
-
-        def flipped(triangles: Float64) -> Float64:
-            other: Float64 = (triangles * [1.0, -1.0, 1.0])[:, ::-1]
-            return other
-
-        return self._each(flipped)
-
-    def _each(self, change: Callable[[Float64], Float64]) -> Plan:
-        return replace(
-            self, elements=tuple((kind, change(triangles)) for kind, triangles in self.elements)
-        )
+        return Plan(tuple((kind, kept(triangles)) for kind, triangles in self.elements))
 
 
 def _pieces(triangles: Float64) -> Float64:
