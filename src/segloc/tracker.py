@@ -89,33 +89,30 @@ class QueryRequest(View):
     ----------
     scans : Scan, list of Scan or LocalCloud
         The newest scan, or the scans of the last stretch.
-    newest : Scan, LocalCloud or None
-        The newest scan if it can be told from the others.
     hypotheses : sequence of (4, 4) float64
         T_map_odom of those that are compared, the most probable first.
     search : bool
         Whether the map is searched, too.
     settled : bool
-        Whether the robot is localized: then the newest scan alone is used.
+        Whether the robot is localized: then a view that is weak becomes a search.
     epoch : int
         Views of an earlier epoch are ignored.
     stamp : float
         Of the newest scan [s].
     near : Prior or None
         Where the map is searched first; None for all of it.
-    found : tuple of (Query, Search, Localization)
-        Searches of the map, in order, once it is made.
+    found : (Query, Search, Localization) or None
+        The search of the map, once it is made.
     """
 
     scans: Scans | LocalCloud
-    newest: Scan | LocalCloud | None
     hypotheses: Sequence[Pose]
     search: bool
     settled: bool
     epoch: int
     stamp: float = math.nan
     near: Prior | None = None
-    found: tuple[Found, ...] = ()
+    found: Found | None = None
 
 
 class Tracker:
@@ -123,8 +120,9 @@ class Tracker:
 
     Places found by queries become hypotheses. Odometry moves and blurs them, and leaks their
     probability to "lost". Each view is one cloud, measured at the hypotheses and at what a search
-    proposes alike: that of the last stretch while it is open where the robot is, and the newest
-    scan alone once it is known, since what was seen before a robot was carried away has no vote.
+    proposes alike: that of the last stretch and the newest scan in turns while it is open where the
+    robot is, and the newest scan alone once it is known, since what was seen before a robot was
+    carried away has no vote.
 
     Parameters
     ----------
@@ -150,6 +148,7 @@ class Tracker:
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
         self._searched = self._viewed = -math.inf  # distances travelled
+        self._alone = False  # the last search was of the newest scan
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = settings.segmentation.accumulated.voxel_size
@@ -224,18 +223,21 @@ class Tracker:
         new = min(1.0, (self.travelled - self._viewed) / self.config.check_m)
         self._viewed = self.travelled
         newest = _newest(scans, T)
+        search = search or newest is None
         if search:
             self._searched = self.travelled
-            if self.rolling is not None and len(self.rolling) > 1 and not settled:
-                scans = self.rolling.cloud()
-        if newest is not None and isinstance(scans, (Scan, np.ndarray)):
+            # In turns: either finds what the other does not, and the stretch may hold two places.
+            self._alone = settled or (not self._alone and bool(self._probable))
+        alone = newest is not None and (self._alone or not search)
+        if self.rolling is not None and len(self.rolling) > 1 and not alone:
+            scans = self.rolling.cloud()
+        elif newest is not None and (alone or not isinstance(scans, Sequence)):
             scans = newest
         return QueryRequest(
             self.belief.travelled,
             T,
             new,
             scans=scans,
-            newest=newest,
             hypotheses=[h.T_map_odom for h in self._probable],
             search=search,
             settled=settled,
@@ -247,34 +249,25 @@ class Tracker:
 
         ``deadline_ms`` bounds each search as in :meth:`Localizer.localize`.
         """
-        newest = request.newest
-        if newest is None or (request.search and not request.settled):
-            view = self._search(request, request.scans, deadline_ms)
-            known = request.hypotheses
-            if newest is None or newest is request.scans or not known or _is_found(view):
-                return view
-            alone = self._search(request, newest, deadline_ms)  # the last stretch may hold two
-            return replace(alone if _is_found(alone) else view, found=view.found + alone.found)
-        if not request.search:
-            view = self._compare(request, newest)
-            if not (request.settled and self._is_weak(view)):
-                return view
-        return self._search(request, newest, deadline_ms)
+        if request.search:
+            return self._search(request, deadline_ms)
+        view = self._compare(request)
+        weak = request.settled and self._is_weak(view)
+        return self._search(request, deadline_ms) if weak else view
 
-    def _search(
-        self, request: QueryRequest, scans: Scans | LocalCloud, deadline_ms: float | None
-    ) -> QueryRequest:
+    def _search(self, request: QueryRequest, deadline_ms: float | None) -> QueryRequest:
         """Search the map, the hypotheses among the places."""
         times = StageTimes(self.localizer.clock)
-        query = self.localizer.describe(scans, times)
+        query = self.localizer.describe(request.scans, times)
         known = _known_poses(request, query.cloud)
         search, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
         places = self._places(request, search.posterior, query.cloud)
-        return replace(request, places=places, searched=True, found=((query, search, result),))
+        return replace(request, places=places, searched=True, found=(query, search, result))
 
-    def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> QueryRequest:
+    def _compare(self, request: QueryRequest) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
-        cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
+        scans, gather = request.scans, self.localizer.accumulator.gather
+        cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
         posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
         return replace(request, places=self._places(request, posterior, cloud))
 
@@ -343,11 +336,6 @@ class Tracker:
         self._epoch += 1
         if self.rolling is not None:
             self.rolling.clear()
-
-
-def _is_found(view: QueryRequest) -> bool:
-    """Return whether the last search found a place."""
-    return view.found[-1][1].reason is None
 
 
 def _known_poses(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:

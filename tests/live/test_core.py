@@ -176,7 +176,8 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
     there = replace(requested, near=Prior(truth[:2, 3], 10.0))
     made = core.ask(there)
     assert core.answer(requested, made).status is Status.LOCALIZED
-    ((query, search, result),) = made.found
+    assert made.found is not None
+    query, search, result = made.found
     assert len(query.scene.segments) and search.posterior.best is not None
     times = result.times_ms
     assert times["total"] == pytest.approx(sum(times.values()) / 2) and search.near is not None

@@ -312,7 +312,8 @@ def _add_alone(
         while (asked := core.due()) is not None:
             made = core.ask(asked)
             core.answer(asked, made)
-            segmented += sum(result.times_ms["segmentation"] for *_, result in made.found)
+            if made.found is not None:
+                segmented += made.found[2].times_ms["segmentation"]
     times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + segmented
 
 

@@ -399,8 +399,8 @@ class Robot:
         """Make a query; thread-safe."""
         assert self._asked is not None
         checked, made = self._checked, self._asked.ask(request)
-        if made.found:
-            checked.check(failed=not made.found[-1][2].localized)
+        if made.found is not None:
+            checked.check(failed=not made.found[2].localized)
         return made
 
     def answer(self, request: QueryRequest, made: QueryRequest | None) -> list[Reply]:
@@ -408,9 +408,9 @@ class Robot:
         core, frame = self.core, self.settings.map_frame
         if core is None or core is not self._asked:
             return []
-        if made is None or not made.found:
+        if made is None or made.found is None:
             return self._tell([core.answer(request, made)])
-        query, search, self.last = made.found[-1]
+        query, search, self.last = made.found
         replies = self._tell([core.answer(request, made)])
         T_sensor_base = geometry.inverse(core.T_base_sensor)
         places = [(p.T_map_sensor @ T_sensor_base, p.probability) for p in self.last.places]
