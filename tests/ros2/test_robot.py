@@ -488,16 +488,21 @@ def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
     assert np.allclose(np.sqrt(np.diag(told.covariance))[[0, 5]], [1.0, np.radians(5.0)])
 
 
-def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
+def test_silence_is_said(
+    localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(now=10.0, perf_counter=time.perf_counter)
+    clock.monotonic = lambda: clock.now
+    monkeypatch.setattr("segloc_ros.core.robot.time", clock)
     listener = Listener.of(localizer, silent_s=1.5)
     on_tf_static(listener.robot)
     listener.walk(plaza, 3)
     listener.robot.report_silence()
     assert diagnose(listener.robot).message == "localized"
-    time.sleep(1.6)
+    clock.now += 1.6
     listener.robot.report_silence()
     told, state = diagnose(listener.robot), listener.robot.state
-    assert told.level is Level.WARN and "no data received for 1." in told.message
+    assert told.level is Level.WARN and "no data received for 1.6 s" in told.message
     listener.robot.report_silence()
     assert listener.robot.state is state  # once
 
