@@ -79,6 +79,8 @@ PACKAGES = {
     "laspy": "tools.io",
     "lazrs": "tools.io",
     "e57": "tools.io",
+    "trimesh": "tools.io",
+    "ifcopenshell": "tools.io",
     "rosbags": "tools.datasets.ros",
     "lz4": "tools.datasets.ros",
     "velodyne_decoder": "tools.datasets.packets",

@@ -1,9 +1,10 @@
-// Voxel grid, ground and clusters.
+// Voxel grid, ground, clusters, and rays on meshes.
 #include "bindings/bindings.h"
 #include "common/cells.h"
 #include "frontend/cluster.h"
 #include "frontend/ground.h"
 #include "frontend/gravity.h"
+#include "frontend/mesh_rays.h"
 #include "frontend/spacing.h"
 #include "frontend/thinning.h"
 
@@ -158,6 +159,30 @@ double point_spacing_(const In2<float>& points, double least, std::size_t most) 
   return point_spacing(points.data(), points.shape(0), least, most);
 }
 
+auto cast_(const MeshRays& mesh, const In2<float>& origins, const In2<float>& directions,
+           double max_range, int threads) {
+  require_points(origins, "origins");
+  require_points(directions, "directions");
+  const std::size_t rays = origins.shape(0);
+  require(directions.shape(0) == rays, "origins and directions differ in length");
+  require_length(max_range, "max_range");
+  std::vector<float> ranges(rays);
+  std::vector<std::int32_t> triangles(rays);
+  {
+    nb::gil_scoped_release release;
+    require_usable(origins.data(), origins.size(), "origins");
+    require_usable(directions.data(), directions.size(), "directions");
+    std::vector<RayHit> hits(rays);
+    mesh.cast(origins.data(), directions.data(), rays, static_cast<float>(max_range), threads,
+              hits.data());
+    for (std::size_t i = 0; i < rays; ++i) {
+      ranges[i] = hits[i].range;
+      triangles[i] = hits[i].triangle;
+    }
+  }
+  return std::make_tuple(to_numpy(std::move(ranges)), to_numpy(std::move(triangles)));
+}
+
 }  // namespace
 
 void bind_segmentation(nb::module_& m) {
@@ -180,6 +205,22 @@ void bind_segmentation(nb::module_& m) {
         nb::arg("directions").noconvert(), nb::arg("tolerances"));
   m.def("point_spacing", &point_spacing_, nb::arg("points").noconvert(), nb::arg("least"),
         nb::arg("most"));
+  nb::class_<MeshRays>(m, "MeshRays")
+      .def(
+          "__init__",
+          [](MeshRays* self, const In3<float>& triangles) {
+            require(triangles.shape(1) == 3 && triangles.shape(2) == 3,
+                    "triangles must have shape (N, 3, 3)");
+            require(triangles.shape(0) <= std::numeric_limits<std::int32_t>::max(),
+                    "triangles has too many rows");
+            nb::gil_scoped_release release;
+            require_usable(triangles.data(), triangles.size(), "triangles");
+            new (self) MeshRays(triangles.data(), triangles.shape(0));
+          },
+          nb::arg("triangles").noconvert())
+      .def("__len__", &MeshRays::size)
+      .def("cast", &cast_, nb::arg("origins").noconvert(), nb::arg("directions").noconvert(),
+           nb::arg("max_range"), nb::arg("threads") = 0);
 }
 
 }  // namespace segloc::bindings

@@ -43,8 +43,10 @@ NOT_RUN = {
         "needs a large dataset; each option is tried in lab/tests/cli/test_train.py"
     ),
     r"segloc train (extract|profile)": "minutes; at their smallest in lab/tests/cli/test_train.py",
-    r"segloc simulate (building|industrial|forest)": "minutes; in lab/tests/cli/test_simulate.py",
-    r"segloc (map build|localize) runs/": "of recordings that the line before simulates",
+    r"segloc simulate (building|industrial|forest|offices)": (
+        "minutes; in lab/tests/cli/test_simulate.py"
+    ),
+    r"segloc (map build|map from-mesh|localize) runs/": "of what the line before simulates",
     r"segloc .*(--install-completion|--show-completion)": "changes the reader's shell",
     r"segloc .*--cluster": "needs a cluster; one is made in tests/map",
     r"segloc .*(gs://|s3://|https://)": "needs a bucket",

@@ -89,6 +89,12 @@ def _segmentation() -> Iterator[tuple[str, Call]]:
     yield "fit_vertical", Call(_native.fit_vertical, vertical)
     spacing = {"points": points, "least": 0.1, "most": 128}
     yield "point_spacing", Call(_native.point_spacing, spacing)
+    mesh = {"triangles": _points(300).reshape(100, 3, 3)}
+    yield "MeshRays", Call(lambda **a: len(_native.MeshRays(**a)), mesh)
+    rays = {"origins": _points(40), "directions": _points(40), "max_range": 50.0, "threads": 2}
+    cast = _native.MeshRays(**mesh).cast
+    # Rays that meet nothing have infinite ranges: that is an answer.
+    yield "MeshRays.cast", Call(lambda **a: ~np.isinf(cast(**a)[0]), rays)
 
 
 def _local_clouds() -> Iterator[tuple[str, Call]]:
@@ -340,6 +346,8 @@ ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
         "flat_normals",
         "fit_vertical",
         "point_spacing",
+        "MeshRays",
+        "MeshRays.cast",
     ),
     _local_clouds: (
         "moved_crop",

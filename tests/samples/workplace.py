@@ -12,6 +12,7 @@ from segloc.tools.io.scans import write_scan
 from segloc.types import Float64, Scan
 
 from .plaza import Plaza, PlazaSequence
+from .storey import storey, write_stl
 
 FOLDERS = (
     "monday",
@@ -74,6 +75,7 @@ def furnish(root: Path) -> Path:
         write_scan(root / "submaps" / f"{name}.pcd", part - [5.0, 0.0, 0.0])
     T = geometry.yaw_transform(0.0, (5.0, 0.0, 0.0))
     write_tum(root / "submaps.tum", Trajectory(np.arange(2), np.stack([T, T])))
+    write_stl(root / "plan.stl", storey(3))
     build_map(_few(first), Config.preset("profile")).save(root / "site.segmap")
     return root
 

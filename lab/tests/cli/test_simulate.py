@@ -110,3 +110,21 @@ def test_what_cannot_be_simulated_is_one_line(
     assert fault in line
     assert line.count("\n") == 1
     assert not out.exists()
+
+
+def test_plans_are_written_beside_buildings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("trimesh")
+    from segloc.tools.io.meshes import read_plan
+
+    out, size = tmp_path / "runs", ["--size", "40", *TINY[2:]]
+    told = ("--plan", "--sessions", "1", "--out", out, *size)
+    assert segloc(monkeypatch, "simulate", "offices", *told) == 0
+    plan, other = read_plan(out / "plan.stl"), read_plan(out / "plan_deviating.stl")
+    low, high = plan.reshape(-1, 3).min(axis=0), plan.reshape(-1, 3).max(axis=0)
+    poses = read_trajectory(out / "session_0" / "poses.tum").poses[:, :3, 3]
+    assert (poses > low).all() and (poses < high).all()
+    assert 0.8 * len(plan) < len(other) <= len(plan)
+    assert segloc(monkeypatch, "simulate", "town", *told) == 1
+    assert "only buildings have a plan" in capsys.readouterr().err

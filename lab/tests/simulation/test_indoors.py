@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 
 pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 
-from segloc_lab.simulation import SCENES, Conditions, Route, Scene, World, building
+from segloc_lab.simulation import SCENES, Conditions, Route, Scene, World, building, offices
 from segloc_lab.simulation.drives import lane
+from segloc_lab.simulation.plans import plan_of
 from segloc_lab.simulation.worlds.mine import skin
 
 from segloc.types import Float64
@@ -137,3 +138,21 @@ def test_the_skin_of_a_ball_is_a_closed_sphere() -> None:
     )
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all()  # every edge joins two triangles: no holes
+
+
+def test_two_half_plans_are_a_plan() -> None:
+    world = offices(3, size_m=40.0)
+    plan, inside = plan_of(world), world.interior
+    assert inside is not None
+    ends = [np.append(inside.to_world([x, 5.0]), 1.0) for x in (0.0, inside.size[0])]
+    direction = (ends[1] - ends[0])[:2] / inside.size[0]
+
+    def area(triangles: Float64) -> float:
+        a, b, c = triangles.transpose(1, 0, 2)
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+    halves = [plan.half(direction), plan.half(-direction)]
+    assert sum(area(half.triangles) for half in halves) == pytest.approx(area(plan.triangles))
+    along = halves[0].triangles.reshape(-1, 3)[:, :2] @ direction
+    assert np.ptp(along) < inside.size[0] / 2 + 1.5
+    assert "desk" not in {kind for kind, _ in plan.elements}

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from ..system.text import counted
+from ..system.text import quantity
 from .georeference import Georeference
 
-SOURCE, CLOUD = "source", "cloud"
-"""Key of the metadata, and its value for maps of one finished cloud."""
+SOURCE, CLOUD, PLAN = "source", "cloud", "plan"
+"""Key of the metadata, and its values for maps of one finished cloud, and of a building's plan."""
+TOLERANCE = "tolerance_m"
+"""Key of the metadata: how far a building may be off its plan [m]."""
+MAX_TOLERANCE_M = 0.5
 CLOUD_FRAME = "T_map_cloud"
 """Key of the metadata: transform from the frame of a finished cloud that was levelled."""
 VIEWPOINTS, LATTICE, BETWEEN = "viewpoints", "lattice", "between"
@@ -22,6 +26,20 @@ _WITHOUT_GROUND = {
 }
 _GROUND = "on free ground"
 _MAX_TEXT = 200
+
+
+def plan_tolerance_m(metadata: Mapping[str, str]) -> float | None:
+    """Return how far a building may be off the plan its map is of; None if it is of no plan.
+
+    It is 0 if it cannot be read, as when maps of different tolerances were merged.
+    """
+    if PLAN not in metadata.get(SOURCE, ""):
+        return None
+    try:
+        metres = float(metadata.get(TOLERANCE, ""))
+    except ValueError:
+        return 0.0
+    return metres if 0 < metres <= MAX_TOLERANCE_M else 0.0
 
 
 class MapInfo(dict[str, Any]):
@@ -41,6 +59,8 @@ class MapInfo(dict[str, Any]):
         if CLOUD in metadata.get(SOURCE, ""):
             spacing = metadata.get("cloud_spacing_m", "unknown")
             rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
+        if (off := plan_tolerance_m(metadata)) is not None:
+            rows.append(("made from", f"a plan, as built within {off:g} m (experimental)"))
         if frame := metadata.get("frame"):
             rows.append(("frame", frame[:_MAX_TEXT]))
         if (where := Georeference.of(metadata)) is not None:
@@ -50,7 +70,7 @@ class MapInfo(dict[str, Any]):
     def _poses_rows(self) -> list[tuple[str, str]]:
         """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""
         chosen = self["viewpoints"]
-        driven, sessions = self["poses"] - chosen, counted(self["sessions"], "sessions")
+        driven, sessions = self["poses"] - chosen, quantity(self["sessions"], "sessions")
         rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
         if chosen:
             kind = self["metadata"].get(VIEWPOINTS, "")

@@ -120,6 +120,10 @@ FileFormat = Annotated[
     ),
 ]
 Objects = Annotated[bool, typer.Option("--objects", help="Also write the object id of each point.")]
+PlanOption = Annotated[
+    bool,
+    typer.Option("--plan", help="Also write plan.stl of a building, and plan_deviating.stl."),
+]
 Workers = Annotated[int, typer.Option(min=1, metavar="COUNT", help="Ray-casting processes.")]
 
 
@@ -147,13 +151,15 @@ def simulate(
     swathe: Swathe = None,
     file_format: FileFormat = None,
     objects: Objects = False,
+    plan: PlanOption = False,
     workers: Workers = 2,
 ) -> None:
     """Record drives through a simulated world: folders of scans with exact poses.
 
     Writes DIR/session_0 and so on, each with poses.tum (the truth) and odometry.tum, and
     DIR/scene.json. Session 0 is the one to map; later ones return in other lanes and directions,
-    leave the map, and find other cars, other seasons and some objects replaced.
+    leave the map, and find other cars, other seasons and some objects replaced. --plan writes the
+    building without furniture and glass, for `segloc map from-mesh`.
     """
     from segloc.tools.cli.results import check_folder
 
@@ -176,8 +182,9 @@ def simulate(
     order = _Order(
         scene, size, seed, storey, sensor, thin, platform, tilt, skew, length, spacing, swathe
     )
-    plan = _plan(sessions, season, foliage, replaced, scaffolding)
-    drives = _drives(order, plan)
+    drives = _drives(order, _conditions(sessions, season, foliage, replaced, scaffolding))
+    if plan:
+        _write_plans(drives[0], out)
     recordings: list[Sequence] = [
         drive if swathe is None else swathes(drive, swathe) for drive in drives
     ]
@@ -224,7 +231,7 @@ def _refuse_what_suites_fix(context: typer.Context) -> None:
             raise ConfigError(f"{parameter.opts[0]} is fixed by --suite: omit one of them")
 
 
-def _plan(
+def _conditions(
     sessions: int, season: str | None, foliage: float | None, replaced: float, scaffolding: float
 ) -> list[Conditions]:
     """Return the conditions of each session: summer for the first, then as requested."""
@@ -334,6 +341,19 @@ def _write_suite(
         }
         _write_facts(out / test.name, facts, {})
     print(f"{len(sets)} test sets are in {out}")
+
+
+def _write_plans(drive: SimulatedSequence, folder: Path) -> None:
+    """Write the plan of a drive's world, and that of a building that deviates from it."""
+    import numpy as np
+
+    from ..simulation.plans import plan_of, write_stl
+
+    plan = plan_of(drive.world)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_stl(folder / "plan.stl", plan)
+    deviating = plan.deviating(np.random.default_rng([drive.world.seed, 90_001]))
+    write_stl(folder / "plan_deviating.stl", deviating)
 
 
 def _write_facts(folder: Path, facts: dict[str, Any], kinds: dict[str, str]) -> None:

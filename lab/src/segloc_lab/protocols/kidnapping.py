@@ -237,7 +237,7 @@ class World:
         return self.truths[carried.positions] @ carried.turns
 
     def _tried(self, number: int, way: str, carried: Carried) -> Trial:
-        path = geometry.travelled(self.truths_of(carried)[carried.first :])
+        path = geometry.distance_travelled(self.truths_of(carried)[carried.first :])
         kind = self.kind
         found = self.followed(carried)
         return Trial(

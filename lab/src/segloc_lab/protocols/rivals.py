@@ -265,7 +265,7 @@ def follow(known: Prepared, carried: Carried, number: int, system: str) -> Follo
     within = distances_to_path(truths, world.localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
     return Followed(
         *(world.seed, number, world.kind.scene, world.kind.sensor, system, carried.first),
-        np.round(geometry.travelled(truths[carried.first :]), 2).tolist(),
+        np.round(geometry.distance_travelled(truths[carried.first :]), 2).tolist(),
         *(world.kind.spacing_m, within.tolist(), right, scores, round(spent_ms, 2)),
     )
 

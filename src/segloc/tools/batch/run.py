@@ -58,7 +58,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     breaks = np.flatnonzero(steps > max_gap_m) + 1
     chosen = []
     for part in np.split(known, breaks):
-        distance = geometry.travelled(poses[part])
+        distance = geometry.distance_travelled(poses[part])
         if len(part):
             chosen.append(part[geometry.stations(distance, every_m, every_m)])
     return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
@@ -137,12 +137,12 @@ def query_clouds(
 
 
 @lru_cache(maxsize=2)
-def _opened(where: str, config: Config, run: str) -> Localizer:
+def _open(where: str, config: Config, run: str) -> Localizer:
     """Open a map once per process and run, since maps may be replaced between runs."""
     return localizer_in(open_map(where), config)
 
 
-def _localized(
+def _localize(
     where: str,
     config: Config,
     run: str,
@@ -151,7 +151,7 @@ def _localized(
 ) -> list[Localization]:
     """Localize some queries of a recording, in any process; can be repeated."""
     positions, near = part
-    return localize_sequence(_opened(where, config, run), recording, positions, near=near)
+    return localize_sequence(_open(where, config, run), recording, positions, near=near)
 
 
 def localize_parts(
@@ -185,7 +185,7 @@ def localize_parts(
         As localizing does; and if a process was killed and its tasks cannot be repeated.
     """
     single = config.model_copy(update={"threads": 1})
-    localized = partial(_localized, where, single, uuid.uuid4().hex, recording)
+    localized = partial(_localize, where, single, uuid.uuid4().hex, recording)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
     priors, parts, done = each_prior(near, len(positions)), [], 0
     for chunk in chunks:

@@ -167,12 +167,12 @@ def distances_to_map(poses: Float64, prior_map: SegmentMap) -> Float64:
     points = prior_map.cloud if len(prior_map.cloud) else prior_map.centroids - prior_map.origin
     if CLOUD not in prior_map.metadata.get(SOURCE, "") or not len(points):
         return distances_to_path(poses, prior_map.trajectory)
-    places = _surrounded(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
+    places = _surround(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
     distances, _ = cKDTree(places).query(poses[:, :2, 3])
     return np.asarray(distances, dtype=np.float64)
 
 
-def _surrounded(points: Float64) -> Float64:
+def _surround(points: Float64) -> Float64:
     """Return the middle of cells with points (N, 2), and of those between them."""
     low, reach = points.min(axis=0), SURROUNDED_M / 2
     edge = max(_CELL_M, math.sqrt(float(np.prod(np.ptp(points, axis=0) + 4 * reach)) / _MAX_CELLS))
@@ -302,8 +302,8 @@ def _record(result: Localization) -> dict[str, Any]:
         "localized": result.localized,
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
-        "T_map_sensor": _nested(result.T_map_sensor),
-        "covariance": _rounded(result.covariance),
+        "T_map_sensor": _as_lists(result.T_map_sensor),
+        "covariance": _as_short_lists(result.covariance),
         "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
@@ -313,7 +313,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "confidence": _finite(result.confidence),
         "places": [
             {
-                "T_map_sensor": _nested(place.T_map_sensor),
+                "T_map_sensor": _as_lists(place.T_map_sensor),
                 "probability": _finite(place.probability),
                 "inliers": place.inliers,
                 "overlap": _finite(place.overlap),
@@ -325,11 +325,11 @@ def _record(result: Localization) -> dict[str, Any]:
     }
 
 
-def _nested(matrix: Float64 | None) -> list[list[float]] | None:
+def _as_lists(matrix: Float64 | None) -> list[list[float]] | None:
     return None if matrix is None else np.asarray(matrix, dtype=np.float64).tolist()
 
 
-def _rounded(matrix: Float64 | None) -> list[list[float]] | None:
+def _as_short_lists(matrix: Float64 | None) -> list[list[float]] | None:
     """Return rows of numbers of six digits, each row a short line."""
     if matrix is None:
         return None

@@ -35,7 +35,7 @@ ORDER = (
 LABORATORY = ("evaluate", "simulate", "train", "bench")
 """Verbs that ``segloc-lab`` adds."""
 
-MAPS = ("build", "from-cloud", "info", "merge", "update", "tile")
+MAPS = ("build", "from-cloud", "from-mesh", "info", "merge", "update", "tile")
 VERSION = "--version"
 """Option without a verb."""
 
