@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from segloc_lab.calibration.worlds import simulated
 from segloc_lab.peers import branch_and_bound, contour_context, segloc_query
 from segloc_lab.peers.compare import close, confidence, overview, score, scored, table
 from segloc_lab.peers.exchange import ELSEWHERE, Answers, Clouds, Gathering
 from segloc_lab.peers.export import export
 from segloc_lab.peers.scan_context import ScanContexts, sideways
-from segloc_lab.peers.sets import Group, Material, Set, far
+from segloc_lab.peers.sets import CloudParts, Group, Material, Set, far
+from segloc_lab.recordings import posed
 
 from segloc import geometry
 from segloc.tools.batch import query_positions
@@ -249,6 +251,16 @@ def test_a_set_is_exported_and_answered_by_segloc_and_as_published(
     for answers in (ours, published):
         assert close(answers.poses[asked], queries.poses[asked], 0.5, 2.0).all()
     assert not close(ours.poses, queries.poses, 3.0, 5.0)[~queries.within_coverage].any()
+
+
+def test_the_parts_of_a_finished_cloud_are_all_of_it() -> None:
+    cloud = walls(3).astype(np.float64)
+    poses = [geometry.yaw_transform(turn, (20.0 * turn, 0.0, 1.0)) for turn in (0.0, 1.0)]
+    parts = CloudParts("walls", cloud, np.stack(poses))
+    assert min(len(parts.scan(i).points) for i in range(2)) > 0
+    joined = np.concatenate(list(posed(parts)))
+    assert len(joined) == len(cloud)
+    assert cKDTree(joined).query(cloud)[0].max() < 1e-4
 
 
 def answered(folder: Path, wrong: list[bool], scores: list[float]) -> Clouds:

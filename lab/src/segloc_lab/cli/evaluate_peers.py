@@ -21,7 +21,7 @@ def peers(
         typer.Option(
             metavar="NAME,...",
             help="Only these sets: single, accumulated, kitti-cloud (KITTI 00), corridor, "
-            "corridor-cloud, lab, town, forest, warehouse, offices.",
+            "corridor-cloud, grand-loop, lab, town, forest, warehouse, offices.",
             show_default="all; without --data the last four",
         ),
     ] = None,

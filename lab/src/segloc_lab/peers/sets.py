@@ -7,20 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from segloc import geometry
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
 from segloc.tools.datasets import open_sequence
+from segloc.tools.io.clouds import read_cloud
 from segloc.types import Derived, Float64, Int64, Recording, Scan
 
 from .. import kitti00
 from ..calibration.worlds import simulated
 from ..protocols import real
-from ..recordings import beside, has_room
+from ..protocols.finished_clouds import CUT_M
+from ..recordings import Files, beside, has_room
 from ..simulation import (
     SCENES,
     Conditions,
@@ -162,6 +165,69 @@ def lab(data: Path) -> Material:
     )
 
 
+@dataclass(frozen=True)
+class CloudParts:
+    """A finished cloud as a recording: each pose has the points that are nearest to it.
+
+    Attributes
+    ----------
+    cloud : (N, 3) float64
+    poses : (K, 4, 4) float64
+    """
+
+    name: str
+    cloud: Float64
+    poses: Float64
+
+    stamps = None
+
+    @property
+    def indices(self) -> Int64:
+        return np.arange(len(self), dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @cached_property
+    def _nearest(self) -> Int64:
+        return np.asarray(cKDTree(self.poses[:, :3, 3]).query(self.cloud)[1], dtype=np.int64)
+
+    def scan(self, i: int) -> Scan:
+        """Return the points that are nearest to pose i, in its frame."""
+        T = self.poses[i]
+        points = geometry.transform(geometry.inverse(T), self.cloud[self._nearest == i])
+        return Scan(points.astype(np.float32), T_odom_sensor=T)
+
+
+@dataclass(frozen=True)
+class Groundless(Derived[Recording]):
+    """Scans of an HDL-64E on a car without what lies below 0.3 m, without poses."""
+
+    poses = None
+
+    def scan(self, i: int) -> Scan:
+        """Return a scan, cut."""
+        points = self.source.scan(i).points
+        return Scan(points[points[:, 2] > CUT_M])
+
+
+def grand_loop(data: Path) -> Material:
+    """Take a finished cloud without ground, scans of months later, and starts of other drives."""
+    root = data / "utd_grand_loop"
+    queries = open_sequence(root / "scans", root / "poses_registered.tum")
+    truths = kitti00.poses_of(queries)
+    cloud = np.concatenate(list(read_cloud(root / "map.laz"))).astype(np.float64)
+    starts = Groundless(Files(data / "kitti_starts"))
+    nowhere = far(np.tile(np.eye(4), (len(starts), 1, 1)))
+    return Material(
+        CloudParts("grand loop", cloud, truths),
+        [
+            Group(queries, np.arange(len(truths), dtype=np.int64), truths),
+            Group(starts, np.arange(len(starts), dtype=np.int64), nowhere, ELSEWHERE),
+        ],
+    )
+
+
 def _group(queries: Iterator[real.Queries], name: str) -> Group:
     """Return the queries of this name."""
     found = next(each for each in queries if each.name == name)
@@ -261,6 +327,7 @@ SETS = {
     "kitti-cloud": Set(partial(kitti, "single", 10, 10), "kitti00", ("cloud",), 1.73),
     "corridor": Set(corridor, "vlp16_corridor", ("indoors",)),
     "corridor-cloud": Set(corridor, "vlp16_corridor", ("indoors", "cloud")),
+    "grand-loop": Set(grand_loop, "utd_grand_loop", ("cloud",)),
     "lab": Set(lab, "mid360_lab", ("indoors",)),
     "town": Set(town, None, ("beside",)),
     "forest": Set(partial(world, "forest", WORLD_SEED)),
@@ -268,4 +335,5 @@ SETS = {
     "offices": Set(partial(world, "offices", WORLD_SEED), None, ("indoors",)),
 }
 """KITTI 00 by single scans and by 40 m of scans gathered; halls and a corridor of a VLP-16, driven
-back; a lab of a MID-360 on other days; simulated worlds. In ``-cloud`` the map is one cloud."""
+back; a finished cloud of campus streets, and scans of months later; a lab of a MID-360 on other
+days; simulated worlds. In ``-cloud`` and ``grand-loop`` the map is one cloud."""

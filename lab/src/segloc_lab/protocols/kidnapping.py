@@ -393,8 +393,8 @@ def row(name: tuple[str, ...], found: list[Trial]) -> tuple[Cell, ...]:
 def _spread(values: list[float]) -> str:
     if not values:
         return "-"
-    worst = "never" if np.isinf(values).any() else f"{max(values):.0f}"
-    return f"{np.median(values):.0f} / {worst}"
+    both = float(np.median(values)), max(values)
+    return " / ".join("never" if np.isinf(each) else f"{each:.0f}" for each in both)
 
 
 def report(found: list[Trial], folder: Path | None) -> None:
