@@ -78,6 +78,19 @@ auto sampled_(const Surface& surface, std::size_t most) {
   return to_numpy(std::move(points), {rows, 3});
 }
 
+// Normals of the points of `sampled`.
+auto sampled_normals_(const Surface& surface, std::size_t most) {
+  std::vector<double> values;
+  const std::vector<std::uint32_t> sampled = every(surface, step_of(surface, most));
+  {
+    nb::gil_scoped_release release;
+    for (const Surface::Normal& n : surface.normals(sampled)) {
+      values.insert(values.end(), n.begin(), n.end());
+    }
+  }
+  return to_numpy(std::move(values), {sampled.size(), 3});
+}
+
 // Distances of the points of `sampled`.
 auto off_plane_(const Surface& target, const Surface& source, const In2<double>& T_target_source,
                 double least_slope, double most_slope, std::size_t most) {
@@ -110,6 +123,7 @@ void bind_registration(nb::module_& m) {
           nb::arg("tiled") = false)
       .def("__len__", &Surface::size)
       .def("sampled", &sampled_, nb::arg("most"))
+      .def("sampled_normals", &sampled_normals_, nb::arg("most"))
       .def("off_plane", &off_plane_, nb::arg("source"), nb::arg("T_target_source").noconvert(),
            nb::arg("least_slope"), nb::arg("most_slope"), nb::arg("most"))
       .def("align", &align_, nb::arg("source"), nb::arg("T_target_source").noconvert(),

@@ -276,10 +276,10 @@ struct Kernels {
   // room for all of them and a vector's width.
   size_t (*matches_inside)(const uint32_t* cells, size_t count, const uint32_t* wanted,
                            uint32_t* inside);
-  // Adds to the sum of each window how many of the slices it holds: bytes, in runs that begin at
-  // `places` of the image.
-  void (*add_slices)(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,
-                     uint8_t* sums);
+  // Adds to the sum of each window how many of the slices it holds: bytes of the image, in runs
+  // that begin at `runs` from the beginning of each column.
+  void (*add_slices)(const uint8_t* image, const size_t* columns, const uint8_t* slices,
+                     size_t count, const size_t* runs, size_t run_count, uint16_t* sums);
   // Whether each value is finite and its magnitude below `limit`.
   bool (*all_below)(const float* values, size_t count, float limit);
   // The least and the greatest of values kExtentRun apart, of at least one run.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
-from segloc_lab.protocols import kidnapping, live_streams
+from segloc_lab.protocols import kidnapping, live_streams, rivals
 
 from segloc import geometry
 from segloc.loops.graph import Edges
@@ -29,6 +29,33 @@ def test_views_are_compared_at_every_turn() -> None:
     here = np.random.default_rng(2).uniform(size=(2, kidnapping.SECTORS))
     differs, turn = kidnapping._unlike(here, np.roll(here, -7, axis=1))
     assert differs == 0.0 and turn == pytest.approx(-2.0 * np.pi * 7 / kidnapping.SECTORS)
+
+
+@pytest.mark.slow
+def test_rivals_follow_a_robot_at_its_smallest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("embreex")
+    pytest.importorskip("small_gicp")
+    for name, metres in (("BEFORE_M", 5.0), ("AFTER_M", 4.0), ("RECOVERED_M", 4.0)):
+        monkeypatch.setattr(kidnapping, name, metres)
+    kind = kidnapping.Kind("offices", "vlp16", 40.0, 60.0, 0.5, "wheeled")
+    monkeypatch.setattr(rivals, "ALIKE_KINDS", (kind,))
+    out = tmp_path / "rivals.jsonl"
+    monkeypatch.setattr("sys.argv", ["rivals", "--worlds", "1", "--out", str(out)])
+    rivals.main()
+    found = rivals.read([out])
+    assert [f.system for f in found] == sorted(rivals.SYSTEMS)
+    for each in found:
+        assert len(each.right) == len(each.scores) == each.first + len(each.path_m)
+    followed = next(f for f in found if f.system == "particle-filter")
+    assert all(followed.right[5 : followed.first])  # until it is put elsewhere
+    printed = capsys.readouterr().out
+    assert all(f"| {name} |" in printed for name in ("segloc", *rivals.ONCE.values()))
+    # Answers accepted at one world by what another one implies: nothing without another.
+    assert rivals._threshold(found, found[0].seed) == np.nextafter(np.inf, 0)
+    rivals.main()
+    assert rivals.read([out]) == found  # nothing is done twice
 
 
 @pytest.mark.slow

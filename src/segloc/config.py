@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 from . import descriptors
 from .errors import ConfigError, MapMismatch
 from .likelihood import VerificationConfig, shipped_model
-from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, unmounted
+from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, without_mount
 from .map.info import plan_tolerance_m
 from .map.segment_map import SegmentMap
 from .proposals.matching import MatchingConfig
@@ -89,12 +89,12 @@ class Config(BuildConfig):
         preset = cls.preset(method or str(values.get("method", DEFAULT_METHOD)))
         if values.get("method", preset.method) != preset.method:
             raise ConfigError(f"{path}: method: {values['method']!r}, where {method!r} is needed")
-        merged = _merged(preset.model_dump(), {**values, "method": preset.method})
-        return validated(cls, merged, str(path))
+        merged = _merge(preset.model_dump(), {**values, "method": preset.method})
+        return validate(cls, merged, str(path))
 
     def explained(self, every: bool = False) -> str:
         """Format as YAML with the meaning of each key: those of :data:`FOR_USERS`, or all."""
-        return "\n".join(_explained(self, "", "", every)) + "\n"
+        return "\n".join(_explain(self, "", "", every)) + "\n"
 
 
 def map_config(prior_map: SegmentMap) -> Config:
@@ -139,9 +139,9 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
             "the map was made from a plan (experimental), so single scans find less: accumulate "
             "scans, or pass a prior"
         )
-    if changed := differences(_shared(config), _shared(built)):
+    if changed := differences(_shared_settings(config), _shared_settings(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
-    fitted = _merged(dict(shipped_model().settings), dict(descriptors.preset(config.method)))
+    fitted = _merge(dict(shipped_model().settings), dict(descriptors.preset(config.method)))
     if changed := differences(config.model_dump(mode="json"), fitted):
         notes.append(f"confidence was fitted under other values of {', '.join(changed)}")
     return config, tuple(notes)
@@ -163,17 +163,17 @@ def _plain(value: Any) -> Any:
     return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value
 
 
-def _shared(config: Config) -> dict[str, Any]:
+def _shared_settings(config: Config) -> dict[str, Any]:
     """Return the settings that should be equal for maps and queries."""
     chosen = {"local_cloud", "segmentation"}
-    return unmounted(config).model_dump(mode="json", include=chosen)
+    return without_mount(config).model_dump(mode="json", include=chosen)
 
 
-def _explained(model: BaseModel, prefix: str, indent: str, every: bool) -> Iterator[str]:
+def _explain(model: BaseModel, prefix: str, indent: str, every: bool) -> Iterator[str]:
     for name, info in type(model).model_fields.items():
         value, key = getattr(model, name), f"{prefix}{name}"
         if isinstance(value, BaseModel):
-            lines = list(_explained(value, f"{key}.", f"{indent}  ", every))
+            lines = list(_explain(value, f"{key}.", f"{indent}  ", every))
             if lines:
                 yield f"{indent}{name}:"
                 yield from lines
@@ -192,7 +192,7 @@ def _comment(name: str, text: str | None) -> str:
     return f"  # {text}" if has_unit or not unit else f"  # {text}, {unit}"
 
 
-def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Model:
+def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model:
     """Validate the values of a section of configuration from ``where``.
 
     Raises
@@ -206,10 +206,10 @@ def validated(model: type[Model], values: Mapping[str, Any], where: str) -> Mode
         raise ConfigError(f"{where}: {error}") from error
 
 
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
         both = isinstance(old, dict) and isinstance(value, dict)
-        merged[key] = _merged(old, value) if both else value  # type: ignore[arg-type]
+        merged[key] = _merge(old, value) if both else value  # type: ignore[arg-type]
     return merged

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from .system.section import Section
 from .types import Float64, Pose
 
 __all__ = [
     "Separation",
+    "displace",
+    "displacement",
     "inverse",
     "orthonormal",
     "rigid",
@@ -58,6 +61,17 @@ def transform(T: Pose, points: NDArray[Any]) -> NDArray[np.float64]:
     for k in range(3):
         moved[:, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
     return moved
+
+
+def displacement(T_from: Pose, T_to: Pose) -> Float64:
+    """Return rotation vector [rad] and translation [m] from a pose to another, (6,)."""
+    T = inverse(T_from) @ T_to
+    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+
+
+def displace(T: Pose, step: Float64) -> Pose:
+    """Return a pose that a :func:`displacement` leads to."""
+    return T @ rigid(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
 
 
 def rotation_angle(T: Pose) -> float:
@@ -144,7 +158,7 @@ def spread(length: int, count: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, length - 1, max(1, count)).round())]
 
 
-def travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def distance_travelled(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance travelled up to each of (N, 4, 4) poses [m], (N,)."""
     return arc_length(poses[:, :3, 3])
 

@@ -102,7 +102,7 @@ class Localizer:
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.proposers = _proposers(prior_map, config) if proposers is None else tuple(proposers)
-        self.likelihood = likelihood or _likelihood(prior_map, config)
+        self.likelihood = likelihood or likelihood_of(prior_map, config)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the map and the configuration; unpickling builds a new localizer."""
@@ -296,7 +296,7 @@ def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
     return tuple(found)
 
 
-def _likelihood(prior_map: SegmentMap, config: Config) -> Likelihood:
+def likelihood_of(prior_map: SegmentMap, config: Config) -> Likelihood:
     """Return the likelihood of the map's own cloud."""
     viewpoints = prior_map.trajectory[:, :3, 3]
     return Likelihood(

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from .errors import ConfigError, InvalidScan
-from .geometry import travelled
+from .geometry import distance_travelled
 from .types import Float64, Scan
 
 _MAX_SCAN_S = 1.0  # point times farther from the stamp are on another clock
@@ -72,7 +72,7 @@ class Motion:
 
     def times_of(self, distances: Float64) -> Float64:
         """Return the times of given distances travelled (N,) [m]."""
-        distance = travelled(self.poses) if self.travelled is None else self.travelled
+        distance = distance_travelled(self.poses) if self.travelled is None else self.travelled
         return np.asarray(np.interp(distances, distance, self.stamps), dtype=np.float64)
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +26,8 @@ from .system.stage_times import StageTimes
 from .tracking.belief import Belief, BeliefConfig, Hypothesis, Reading, Status, View
 from .types import Float64, LocalCloud, Pose, Scan
 
-QueryCallback = Callable[[Query, Search, Localization], None]
-"""Receives a query, the result of its search, and the answer."""
+Found = tuple[Query, Search, Localization]
+"""A query, the result of its search, and the answer."""
 
 _MIN_PROBABILITY = 1e-300
 _WEAK = 1.5
@@ -82,41 +81,38 @@ class Track:
         return self.T_map_odom is not None
 
 
-@dataclass(frozen=True)
-class QueryRequest:
-    """A view that is due, with its inputs: any thread can compute it later.
+@dataclass(frozen=True, kw_only=True)
+class QueryRequest(View):
+    """A view from when it is due until it is taken: any thread can make it.
 
     Attributes
     ----------
     scans : Scan, list of Scan or LocalCloud
         The newest scan, or the scans of the last stretch.
-    newest : Scan, LocalCloud or None
-        The newest scan if it can be told from the others.
     hypotheses : sequence of (4, 4) float64
         T_map_odom of those that are compared, the most probable first.
     search : bool
         Whether the map is searched, too.
     settled : bool
-        Whether the robot is localized: then the newest scan alone is asked.
-    view : View
-        To be filled.
+        Whether the robot is localized: then a view that is weak becomes a search.
     epoch : int
         Views of an earlier epoch are ignored.
     stamp : float
         Of the newest scan [s].
     near : Prior or None
         Where the map is searched first; None for all of it.
+    found : (Query, Search, Localization) or None
+        The search of the map, once it is made.
     """
 
     scans: Scans | LocalCloud
-    newest: Scan | LocalCloud | None
     hypotheses: Sequence[Pose]
     search: bool
     settled: bool
-    view: View
     epoch: int
     stamp: float = math.nan
     near: Prior | None = None
+    found: Found | None = None
 
 
 class Tracker:
@@ -124,8 +120,9 @@ class Tracker:
 
     Places found by queries become hypotheses. Odometry moves and blurs them, and leaks their
     probability to "lost". Each view is one cloud, measured at the hypotheses and at what a search
-    proposes alike: that of the last stretch while it is open where the robot is, and the newest
-    scan alone once it is known, since what was seen before a robot was carried away has no vote.
+    proposes alike: that of the last stretch and the newest scan in turns while it is open where the
+    robot is, and the newest scan alone once it is known, since what was seen before a robot was
+    carried away has no vote.
 
     Parameters
     ----------
@@ -151,6 +148,7 @@ class Tracker:
         self.travelled, self._epoch = 0.0, 0
         self._last: Pose | None = None
         self._searched = self._viewed = -math.inf  # distances travelled
+        self._alone = False  # the last search was of the newest scan
         self.rolling: RollingCloud | None = None
         if self.config.accumulate:
             voxel_size = settings.segmentation.accumulated.voxel_size
@@ -173,7 +171,7 @@ class Tracker:
         """
         request = self.add(scans, T_odom_sensor)
         if request is not None:
-            self.take(request, self.ask(request))
+            self.take(self.ask(request))
         return self.track
 
     @property
@@ -208,7 +206,7 @@ class Tracker:
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
         # Of the scans, a view takes the one that is nearest to its distance.
-        is_near = self._since_view() + 0.5 * metres >= config.check_m
+        is_near = self.travelled - self._viewed + 0.5 * metres >= config.check_m
         if search or (self._probable and is_near):
             return self._request(scans, T, search, localized)
         return None
@@ -219,101 +217,83 @@ class Tracker:
         best = self.belief.hypotheses[:_MAX_CHECKED]
         return [h for h in best if h.probability > _MIN_CHECKED_P]
 
-    def _since_view(self) -> float:
-        return self.travelled - self._viewed
-
     def _request(
         self, scans: Scans | LocalCloud, T: Pose, search: bool, settled: bool
     ) -> QueryRequest:
-        view = View(self.belief.travelled, T, min(1.0, self._since_view() / self.config.check_m))
+        new = min(1.0, (self.travelled - self._viewed) / self.config.check_m)
         self._viewed = self.travelled
         newest = _newest(scans, T)
+        search = search or newest is None
         if search:
             self._searched = self.travelled
-            if self.rolling is not None and len(self.rolling) > 1 and not settled:
-                scans = self.rolling.cloud()
-        if newest is not None and isinstance(scans, (Scan, np.ndarray)):
+            # In turns: either finds what the other does not, and the stretch may hold two places.
+            self._alone = settled or (not self._alone and bool(self._probable))
+        alone = newest is not None and (self._alone or not search)
+        if self.rolling is not None and len(self.rolling) > 1 and not alone:
+            scans = self.rolling.cloud()
+        elif newest is not None and (alone or not isinstance(scans, Sequence)):
             scans = newest
-        known = [h.T_map_odom for h in self._probable]
-        return QueryRequest(scans, newest, known, search, settled, view, self._epoch)
+        return QueryRequest(
+            self.belief.travelled,
+            T,
+            new,
+            scans=scans,
+            hypotheses=[h.T_map_odom for h in self._probable],
+            search=search,
+            settled=settled,
+            epoch=self._epoch,
+        )
 
-    def ask(
-        self,
-        request: QueryRequest,
-        deadline_ms: float | None = None,
-        *,
-        callback: QueryCallback | None = None,
-    ) -> View:
-        """Compute a view, the second third of :meth:`update`; any thread may.
+    def ask(self, request: QueryRequest, deadline_ms: float | None = None) -> QueryRequest:
+        """Make a view, the second third of :meth:`update`; any thread may.
 
-        ``deadline_ms`` bounds each search as in :meth:`Localizer.localize`; ``callback`` receives
-        its result.
+        ``deadline_ms`` bounds each search as in :meth:`Localizer.localize`.
         """
-        search = partial(self._search, request, deadline_ms, callback)
-        newest = request.newest
-        if request.search and not request.settled:
-            view, found = search(request.scans)
-            if found.reason is None or newest is request.scans or not request.hypotheses:
-                return view
-            alone = None if newest is None else search(newest)
-            # The last stretch may hold two places.
-            return view if alone is None or alone[1].reason is not None else alone[0]
-        if newest is None:
-            return search(request.scans)[0]
-        if not request.search:
-            view = self._compare(request, newest)
-            if not (request.settled and self._is_weak(view, request.hypotheses[0])):
-                return view
-        return search(newest)[0]
+        if request.search:
+            return self._search(request, deadline_ms)
+        view = self._compare(request)
+        weak = request.settled and self._is_weak(view)
+        return self._search(request, deadline_ms) if weak else view
 
-    def _search(
-        self,
-        request: QueryRequest,
-        deadline_ms: float | None,
-        callback: QueryCallback | None,
-        scans: Scans | LocalCloud,
-    ) -> tuple[View, Search]:
+    def _search(self, request: QueryRequest, deadline_ms: float | None) -> QueryRequest:
         """Search the map, the hypotheses among the places."""
         times = StageTimes(self.localizer.clock)
-        query = self.localizer.describe(scans, times)
-        known = _known(request, query.cloud)
-        found, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
-        if callback is not None:
-            callback(query, found, result)
-        return self._filled(request.view, found.posterior, query.cloud, searched=True), found
+        query = self.localizer.describe(request.scans, times)
+        known = _known_poses(request, query.cloud)
+        search, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
+        places = self._places(request, search.posterior, query.cloud)
+        return replace(request, places=places, searched=True, found=(query, search, result))
 
-    def _compare(self, request: QueryRequest, newest: Scan | LocalCloud) -> View:
+    def _compare(self, request: QueryRequest) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
-        cloud = self.localizer.accumulator.gather(newest) if isinstance(newest, Scan) else newest
-        posterior = self.localizer.compare(cloud, _known(request, cloud))
-        return self._filled(request.view, posterior, cloud)
+        scans, gather = request.scans, self.localizer.accumulator.gather
+        cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
+        posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
+        return replace(request, places=self._places(request, posterior, cloud))
 
-    def _filled(
-        self, view: View, posterior: Posterior, cloud: LocalCloud, searched: bool = False
-    ) -> View:
-        """Return a view with the places of a posterior."""
+    def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:
+        """Return the places of a posterior."""
         known, none = self.localizer.likelihood.model.known, posterior.not_in_map
         T_local_odom = cloud.T_local_sensor @ geometry.inverse(view.T_odom_sensor)
-        places = [
+        return [
             Reading(
                 place.T_map_local @ T_local_odom,
                 place.evidence,
-                known.told(place.unknown),
+                known.information(place.unknown),
                 math.log(max(p, _MIN_PROBABILITY) / max(none, _MIN_PROBABILITY)),
                 geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
             )
             for place, p in zip(posterior.places, posterior.probabilities, strict=True)
         ]
-        return replace(view, places=places, searched=searched)
 
-    def _is_weak(self, view: View, T_map_odom: Pose) -> bool:
-        """Return whether a view says little for a hypothesis, or speaks against it."""
-        seen = view.reading(T_map_odom, self.localizer.config.pose.separation)
+    def _is_weak(self, view: QueryRequest) -> bool:
+        """Return whether a view says little for the best hypothesis, or speaks against it."""
+        seen = view.reading(view.hypotheses[0], self.localizer.config.pose.separation)
         return seen is None or seen.evidence < _WEAK
 
-    def take(self, request: QueryRequest, view: View) -> None:
+    def take(self, view: QueryRequest) -> None:
         """Update the hypotheses by a view, the last third of :meth:`update`."""
-        if request.epoch == self._epoch and self.belief.update(view):
+        if view.epoch == self._epoch and self.belief.update(view):
             self._restart_window()
 
     def suppose(self, T_map_odom: ArrayLike, probability: float = 0.5) -> None:
@@ -351,12 +331,6 @@ class Tracker:
         self.belief.clear()
         self._searched, self._epoch = -math.inf, self._epoch + 1
 
-    def clear(self) -> None:
-        """Drop all hypotheses and all scans."""
-        self.forget()
-        self._last = None
-        self._restart_window()
-
     def _restart_window(self) -> None:
         """Drop the accumulated scans; searches use later ones only."""
         self._epoch += 1
@@ -364,9 +338,9 @@ class Tracker:
             self.rolling.clear()
 
 
-def _known(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
+def _known_poses(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
     """Return the hypotheses as poses T_map_local of a cloud."""
-    T_odom_local = request.view.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
+    T_odom_local = request.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
     return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]
 
 

@@ -177,7 +177,7 @@ class MemoryRecording:
         name: str = "memory",
     ) -> None:
         self.name = name
-        self._scans = [_scan_at(i, each) for i, each in enumerate(_listed(scans, name))]
+        self._scans = [_scan_at(i, each) for i, each in enumerate(_as_list(scans, name))]
         count = len(self._scans)
         self.indices: Int64 = np.arange(count)
         given = None if poses is None else checks.checked_poses(poses, count, "poses")
@@ -215,7 +215,7 @@ class MemoryRecording:
         return np.array(found) if len(found) == len(self._scans) else None
 
 
-def _listed(scans: Iterable[Any], name: str) -> list[Any]:
+def _as_list(scans: Iterable[Any], name: str) -> list[Any]:
     if isinstance(scans, (str, bytes, Scan)) or not isinstance(scans, Iterable):
         raise InvalidScan(
             f"scans must be a recording, or a list of Scan or of (N, 3) arrays, not "

@@ -57,6 +57,7 @@ NOT_RUN = {
 PAGES = {
     "docs/how-to/train.md": "its commands train for hours; smallest in lab/tests/cli/test_train.py",
     "docs/how-to/robot.md": "needs a robot",
+    "docs/how-to/public-sets.md": "needs large sets; their layouts in tests/tools/datasets/loaders",
     "docs/how-to/fleet.md": "needs a cluster",
 }
 """Pages of which nothing is run."""

@@ -61,7 +61,7 @@ def test_every_reason_of_the_tracker_has_a_remedy() -> None:
     tree = ast.parse((PROJECT / "src" / "segloc" / "tracking" / "belief.py").read_text("utf-8"))
     known = [re.sub(r"\{.*?\}.*", "", reason.value) for reason in StateReason]
     for method in ast.walk(tree):
-        if isinstance(method, ast.FunctionDef) and method.name in ("status", "_unsupported"):
+        if isinstance(method, ast.FunctionDef) and method.name in ("status", "_loss_reason"):
             texts = [node.value for node in ast.walk(method) if isinstance(node, ast.Constant)]
             for text in texts[1 if ast.get_docstring(method) else 0 :]:
                 if isinstance(text, str) and len(text.split()) > 2:

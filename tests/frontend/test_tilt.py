@@ -13,7 +13,7 @@ from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.errors import DatasetError
 from segloc.frontend.gravity import angle_deg
 from segloc.frontend.local_cloud import LocalCloudConfig
-from segloc.frontend.tilt import Tilt, frame_tilt, level_transform, levelled
+from segloc.frontend.tilt import Tilt, frame_tilt, level_recording, level_transform
 from segloc.types import Float64, Recording, Reposed
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -72,7 +72,7 @@ def test_what_shows_no_walls_says_nothing() -> None:
         way.scan = lambda i, p=points: Scan(p)  # type: ignore[method-assign,misc]
         assert frame_tilt(way, CONFIG) is None
         with pytest.raises(DatasetError, match="too few walls"):
-            levelled(way, None)
+            level_recording(way, None)
 
 
 @pytest.mark.slow

@@ -196,7 +196,7 @@ def test_fits_that_converge_to_one_pose_are_one_place(
     likelihood = localizer.likelihood
     assert likelihood.separation.apart(*(start.T_map_local for start in starts))
 
-    def unaligned(T: Pose, query: QueryCloud) -> Aligned:
+    def unaligned(T: Pose, query: QueryCloud, _: Pose | None) -> Aligned:
         return Aligned(T, 0.5, Count(1, 2))
 
     # Only the last alignment brings them together:

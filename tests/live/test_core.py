@@ -166,7 +166,7 @@ def test_the_motion_in_a_scan_is_undone(
 
 
 def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, plaza: Plaza) -> None:
-    core, heard = LiveCore(localizer, CONFIG), []
+    core = LiveCore(localizer, CONFIG)
     ((events, truth),) = walked(plaza, 1)
     for event in events:
         put(core, event)
@@ -174,9 +174,10 @@ def test_a_query_takes_a_prior_and_tells_what_it_found(localizer: Localizer, pla
     assert requested is not None
     assert not core.ask(replace(requested, near=Prior((500.0, 0.0), 10.0))).places
     there = replace(requested, near=Prior(truth[:2, 3], 10.0))
-    view = core.ask(there, callback=lambda *it: heard.append(it))
-    assert core.answer(requested, view).status is Status.LOCALIZED
-    ((query, search, result),) = heard
+    made = core.ask(there)
+    assert core.answer(requested, made).status is Status.LOCALIZED
+    assert made.found is not None
+    query, search, result = made.found
     assert len(query.scene.segments) and search.posterior.best is not None
     times = result.times_ms
     assert times["total"] == pytest.approx(sum(times.values()) / 2) and search.near is not None

@@ -96,7 +96,7 @@ def test_where_it_falls_behind_the_newest_scans_win(
         for k in range(50):
             live.add_scan(Scan(np.ones((10, 3))), 0.0 + 0.01 * k)
             assert k or entered.wait(WAIT_S)
-        assert live.dropped == 47 and len(live._inbox) == 2
+        assert live.dropped == 47 and len(live._scans) == 2
         assert not live.flush(0.01)
         go.set()
         live.add_odometry(0.5, np.eye(4))

@@ -17,7 +17,7 @@ from segloc import Config, Localizer, Scan, SegmentMap, geometry
 from segloc.errors import ConfigError, DatasetError
 from segloc.loops import AlignConfig, Alignment, Reposed, align_sessions
 from segloc.loops.align import spread
-from segloc.loops.consistency import supported
+from segloc.loops.consistency import reject_unsupported
 from segloc.loops.growing_map import blocks_of
 from segloc.loops.loops import Chain, Loop
 from segloc.loops.submaps import Session
@@ -114,7 +114,7 @@ def test_what_cannot_be_aligned_is_said(plaza: Plaza) -> None:
 
 
 def _session(poses: Float64, anchors: list[int]) -> Session:
-    way = geometry.travelled(poses)
+    way = geometry.distance_travelled(poses)
     chosen = np.array(anchors, np.int64)
     return Session("s", np.arange(len(poses)), poses, way, chosen)
 
@@ -142,11 +142,11 @@ def test_a_loop_needs_others_that_agree() -> None:
     right = [(k, 30 + k, np.eye(4)) for k in (3, 4, 5)]
     wrong = [(5, 34, geometry.yaw_transform(0.0, (9.0, 0.0, 0.0))), (25, 40, np.eye(4))]
     loops = [Loop(a, b, T, np.eye(6), "found", 9, 0.9) for a, b, T in right + wrong]
-    results = supported(chain, loops, AlignConfig())
+    results = reject_unsupported(chain, loops, AlignConfig())
     assert [loop.accepted for loop in results] == [True] * 3 + [False] * 2
     assert results[3].reason == "0 neighbouring loops agree and 3 do not"
     assert results[4].reason == "0 neighbouring loops agree and 0 do not"
-    assert not any(loop.accepted for loop in supported(chain, loops[:2], AlignConfig()))
+    assert not any(loop.accepted for loop in reject_unsupported(chain, loops[:2], AlignConfig()))
 
 
 def test_the_command_writes_all_of_it(

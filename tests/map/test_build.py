@@ -12,7 +12,7 @@ from samples.walk import Walk
 
 import segloc
 from segloc import Config, Localizer, MemoryRecording, Scan, SeglocError, SegmentMap, build_map
-from segloc.map.build import NARROW_SEGMENTATION, NARROW_VIEWS, adapted_to_view
+from segloc.map.build import NARROW_SEGMENTATION, NARROW_VIEWS, adapt_to_view
 from segloc.types import Float64
 
 CONFIG = Config(threads=1)
@@ -121,15 +121,15 @@ def in_view(points: Float64) -> Float64:
 
 def test_settings_follow_the_field_of_view_where_they_have_their_defaults() -> None:
     full, narrow, config = Walk(), Walk(in_view), Config()
-    adapted = adapted_to_view(config, [narrow])
+    adapted = adapt_to_view(config, [narrow])
     assert adapted.mapping.views == NARROW_VIEWS
     assert adapted.segmentation == NARROW_SEGMENTATION
-    assert adapted_to_view(config, [full]) is config
-    assert adapted_to_view(config, [narrow, full]) is config
+    assert adapt_to_view(config, [full]) is config
+    assert adapt_to_view(config, [narrow, full]) is config
     chosen = config.model_copy(
         update={"mapping": config.mapping.model_copy(update={"views": config.mapping.views[:1]})}
     )
-    assert adapted_to_view(chosen, [narrow]) is chosen
+    assert adapt_to_view(chosen, [narrow]) is chosen
 
 
 @pytest.mark.slow

@@ -46,15 +46,15 @@ numbers = hnp.arrays(
 @given(numbers)
 def test_columns_come_back(codes: np.ndarray) -> None:
     width = coding.width_of(codes)
-    found = coding.unpacked(coding.packed(codes, width), *codes.shape, width)
+    found = coding.unpack_codes(coding.pack_codes(codes, width), *codes.shape, width)
     assert np.array_equal(found.astype(np.int64), codes)
 
 
 @given(hnp.arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6, width=32)), st.integers(2, 12))
 def test_rounding_twice_is_rounding_once(values: np.ndarray, bits: int) -> None:
     exponents = coding.spread_exponents(values, 1 << bits)
-    once = coding.rounded(values, exponents)
-    twice = coding.rounded(once, coding.spread_exponents(once, 1 << bits))
+    once = coding.round_to_lattice(values, exponents)
+    twice = coding.round_to_lattice(once, coding.spread_exponents(once, 1 << bits))
     assert np.array_equal(once, twice)
     step = np.ldexp(1.0, coding.exponents_of(once))
     assert np.array_equal(np.round(once / step) * step, once)
@@ -229,7 +229,7 @@ def test_a_bomb_inflates_to_no_more_than_it_may() -> None:
     bomb = zlib.compress(bytes(1 << 26), 9)
     assert len(bomb) < (1 << 26) // MAX_GROWTH
     with pytest.raises(coding.CodingError, match="does not inflate to 1000 bytes"):
-        coding.inflated(bomb, 1000)
+        coding.inflate(bomb, 1000)
 
 
 def test_what_lies_on_no_lattice_is_kept_as_it_is(tmp_path: Path) -> None:

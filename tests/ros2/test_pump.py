@@ -15,7 +15,6 @@ from samples.ros_drive import BASE, LIDAR, MOUNT, ODOM, cloud_of, on_tf_static
 from samples.streams import walked
 from segloc_ros.core import Robot, Settings
 from segloc_ros.core.diagnosis import Diagnosis, Level, diagnose
-from segloc_ros.core.maps import MapFile
 from segloc_ros.core.pump import Pump
 
 from segloc import Localizer, geometry
@@ -27,14 +26,15 @@ WAIT_S = 60.0
 @contextmanager
 def pumping(path: str, notes: list[str] | None = None, **parameters: Any) -> Iterator[Pump]:
     notes = [] if notes is None else notes
-    robot = Robot(Settings.of({"trigger": "periodic", "query_every_m": 4.0, **parameters}))
+    values = {"map": path, "trigger": "periodic", "query_every_m": 4.0, **parameters}
+    robot = Robot(Settings.of(values))
     on_tf_static(robot)
-    maps = MapFile(path, 1, notes.append)
-    pump = Pump(robot, maps, lambda replies: None, lambda localizer: None, watch_s=0.05)
+    robot.maps.note = notes.append
+    pump = Pump(robot, lambda replies: None, lambda localizer: None, watch_s=0.05)
     try:
         yield pump
     finally:
-        pump.close()
+        pump.end()
         assert pump.error is None
 
 
@@ -67,7 +67,7 @@ def test_a_flood_of_clouds_does_not_delay_odometry(
 
         for k in range(odometry):
             if k % (odometry // clouds) == 0:
-                pump.feed_cloud(on_cloud)
+                pump.feed(on_cloud, is_scan=True)
             pump.feed(on_odometry)
             time.sleep(5e-4)
             if k % 100 == 0:
@@ -85,7 +85,8 @@ def test_a_flood_of_clouds_does_not_delay_odometry(
                     partial(Robot.on_odometry, stamp=event.stamp, parent=ODOM, child=BASE, T=T)
                 )
             cloud = cloud_of(main.scan.points)
-            pump.feed_cloud(partial(Robot.on_cloud, cloud=cloud, stamp=main.stamp, frame=LIDAR))
+            on_main = partial(Robot.on_cloud, cloud=cloud, stamp=main.stamp, frame=LIDAR)
+            pump.feed(on_main, is_scan=True)
             until(pump, lambda told, k=main.stamp: told.values.get("stamp") == f"{k:.3f}")
         until(pump, lambda told: told.message == "localized")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -352,7 +353,7 @@ def test_the_radius_of_a_prior_follows_its_covariance() -> None:
 def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of()
     on_tf_static(listener.robot)
-    listener.robot.report_map("site.segmap", "no map: site.segmap: No such file or directory")
+    listener.robot.maps.fault = "no map: site.segmap: No such file or directory"
     listener.walk(plaza, 2)
     assert listener.said == [] and diagnose(listener.robot).level is Level.ERROR
     listener.robot.use(localizer)
@@ -360,7 +361,7 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
     assert listener.of_kind(PoseReply)
     listener.robot.use(localizer)
     assert listener.robot.T_map_odom is None
-    listener.robot.report_map("site.segmap", "no map: it is gone")  # the one in use stays
+    listener.robot.maps.fault = "no map: it is gone"  # the one in use stays
     listener.clear()
     listener.walk(plaza, 2, start_s=104.0, begin=(-6.0, 1.4))
     assert listener.of_kind(InitialPose)
@@ -413,12 +414,13 @@ def test_an_answer_in_a_map_that_was_replaced_is_passed_over(
 ) -> None:
     listener = Listener.of(localizer, click_topic="")
     on_tf_static(listener.robot)
-    due, jobs = listener.robot.due, []
-    listener.robot.due = lambda: jobs.append(due()) or None  # nobody makes them
+    due, requests = listener.robot.due, []
+    listener.robot.due = lambda: requests.append(due()) or None  # nobody makes them
     listener.walk(plaza, 1)
-    answer = listener.robot.ask(next(job for job in jobs if job))
+    request = next(each for each in requests if each)
+    made = listener.robot.ask(request)
     listener.robot.use(localizer)
-    assert listener.robot.answer(answer) == [] and listener.robot.last is None
+    assert listener.robot.answer(request, made) == [] and listener.robot.last is None
 
 
 def test_clouds_that_cannot_be_used_and_late_ones_end_nothing(
@@ -486,13 +488,23 @@ def test_a_pose_without_a_covariance_is_told_with_a_wide_one() -> None:
     assert np.allclose(np.sqrt(np.diag(told.covariance))[[0, 5]], [1.0, np.radians(5.0)])
 
 
-def test_silence_is_said(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer)
+def test_silence_is_said(
+    localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(now=10.0, perf_counter=time.perf_counter)
+    clock.monotonic = lambda: clock.now
+    monkeypatch.setattr("segloc_ros.core.robot.time", clock)
+    listener = Listener.of(localizer, silent_s=1.5)
     on_tf_static(listener.robot)
     listener.walk(plaza, 3)
-    listener.robot.quiet(3.0)
-    told = diagnose(listener.robot)
-    assert told.level is Level.WARN and "no data received for 3.0 s" in told.message
+    listener.robot.report_silence()
+    assert diagnose(listener.robot).message == "localized"
+    clock.now += 1.6
+    listener.robot.report_silence()
+    told, state = diagnose(listener.robot), listener.robot.state
+    assert told.level is Level.WARN and "no data received for 1.6 s" in told.message
+    listener.robot.report_silence()
+    assert listener.robot.state is state  # once
 
 
 def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(

@@ -105,8 +105,8 @@ class Listener:
     def hear(self, replies: list[Reply]) -> None:
         """Keep replies, and make the queries that are due."""
         self.said += replies
-        while (job := self.robot.due()) is not None:
-            self.said += self.robot.answer(self.robot.ask(job))
+        while (request := self.robot.due()) is not None:
+            self.said += self.robot.answer(request, self.robot.ask(request))
 
 
 __all__ = [

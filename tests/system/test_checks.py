@@ -27,7 +27,7 @@ from segloc import (
     build_map,
     geometry,
 )
-from segloc.config import validated
+from segloc.config import validate
 from segloc.types import Segments
 
 GEO = Config.preset("geo")
@@ -239,7 +239,7 @@ def test_no_number_of_the_configuration_may_be_absurd() -> None:
             if isinstance(section[name], (int, float)) and not isinstance(section[name], bool):
                 section[name] = absurd
                 with pytest.raises(ConfigError, match=name):
-                    validated(Config, values, "test")
+                    validate(Config, values, "test")
 
 
 @settings(max_examples=20)

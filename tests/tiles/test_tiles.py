@@ -25,11 +25,13 @@ from segloc.tiles import (
     TiledMap,
     cut_tiles,
     merge_into_tiles,
+    pieces,
     tiled_map,
     update_tiles,
 )
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
+from segloc.tiles.pieces import Pieces
 from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
 from segloc.tracker import TrackerConfig
@@ -369,6 +371,37 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
 
 
 @pytest.mark.slow
+def test_answers_in_tiles_are_those_of_one_map(
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of places in the map and elsewhere; no cloud is prepared twice for a query."""
+    prepared, plain = list[SegmentMap](), pieces.likelihood_of
+
+    def counted(part: SegmentMap, config: Config) -> Any:
+        prepared.append(part)
+        return plain(part, config)
+
+    monkeypatch.setattr(pieces, "likelihood_of", counted)
+    cut_tiles(plaza_map, tmp_path, size_m=50.0)
+    tiles = TiledMap(tmp_path, memory_bytes=1)
+    assert 1 < len(tiles) <= pieces.MAX_ALL
+    whole, localizer = Localizer(plaza_map, GEO), TiledLocalizer(tiles, GEO)
+    there = geometry.yaw_transform(-2.0, (-8.0, 5.0, 1.7))
+    found = 0
+    for world, pose in ((plaza, TRUE), (plaza, there), (Plaza(seed=4242), TRUE)):
+        scan = world.scan(pose, seed=77)
+        prepared.clear()
+        expected, answer = whole.localize(scan), localizer.localize(scan)
+        assert answer.reason is expected.reason
+        assert 0 < len(prepared) <= len(tiles)
+        if expected.localized:
+            found += 1
+            assert np.allclose(answer.T_map_sensor, expected.T_map_sensor, atol=0.02)
+            assert abs(answer.confidence - expected.confidence) < 0.01
+    assert found == 2
+
+
+@pytest.mark.slow
 def test_a_robot_is_followed_from_tile_to_tile(
     plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
@@ -459,7 +492,8 @@ def test_what_stands_nowhere_is_refused_by_its_segments(
 
     with monkeypatch.context() as patched:
         patched.setattr(TiledMap, "tile", tile)
-        patched.setattr(TiledMap, "together", lambda *_: pytest.fail("clouds are compared"))
+        patched.setattr(Pieces, "cloud", lambda *_: pytest.fail("clouds are compared"))
+        patched.setattr(Pieces, "occupancy", lambda *_: pytest.fail("clouds are compared"))
         answer = localizer.localize(elsewhere)
     assert answer.reason is Reason.NO_CONSISTENT_MATCHES and answer.counts["matches"] > 0
     assert 0 < len(set(opened)) <= 4 < len(index.tiles)

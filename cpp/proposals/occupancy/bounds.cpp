@@ -98,11 +98,11 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
   }
 }
 
-void Bounds::all(std::size_t yaw, std::vector<std::uint16_t>& held,
-                 std::vector<std::uint16_t>& scores) const {
-  area_.score(columns_.offsets(yaw), slices_.data(), slices_.size(), held);
+void Bounds::all(const std::vector<std::size_t>& runs, std::size_t yaw,
+                 std::vector<std::uint16_t>& held, std::vector<std::uint16_t>& scores) const {
+  area_.score(runs, columns_.offsets(yaw), slices_.data(), slices_.size(), held);
   const Steps& free = free_.back();
-  area_.blocked(free.offsets(yaw), free.size(), scores);
+  area_.blocked(runs, free.offsets(yaw), free.size(), scores);
   const float each = float(most_) * kCost / float(std::max(free.size(), kFewestFree));
   for (std::size_t i = 0; i < scores.size(); ++i) {
     const float left = float(held[i]) - each * float(scores[i]);

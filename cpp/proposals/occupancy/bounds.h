@@ -46,8 +46,9 @@ class Bounds {
 
   // No score is higher.
   std::size_t most() const { return most_; }
-  // What all windows of the highest level hold at a heading, and the same less the cost.
-  void all(std::size_t yaw, std::vector<std::uint16_t>& held,
+  // What the windows of some runs, of the highest level, hold at a heading, and the same less the
+  // cost.
+  void all(const std::vector<std::size_t>& runs, std::size_t yaw, std::vector<std::uint16_t>& held,
            std::vector<std::uint16_t>& scores) const;
   // Scores the four quarters of one window by some of what is seen, with the cost or without.
   void roughly(int level, Branch* quarters, bool costly) const;

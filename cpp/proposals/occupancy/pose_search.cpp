@@ -30,12 +30,14 @@ class WidestWindows {
  public:
   WidestWindows(const SearchArea& area, const Bounds& bounds, const SearchLimits& limits)
       : side_(1 << (area.map().levels() - 1)), held_(limits.yaws), score_(limits.yaws) {
-    area.visit([&](std::size_t i, std::int32_t x, std::int32_t y) {
+    std::vector<std::size_t> runs;  // that hold any
+    area.visit([&](std::size_t run, std::size_t j, std::int32_t x, std::int32_t y) {
       if (meets(limits, area.map().cell(), x * side_, y * side_, side_)) {
-        windows_.push_back({i, x * side_, y * side_});
+        if (runs.empty() || runs.back() != run) runs.push_back(run);
+        windows_.push_back({(runs.size() - 1) * SearchArea::kRun + j, x * side_, y * side_});
       }
     });
-    for (std::size_t k = 0; k < limits.yaws; ++k) bounds.all(k, held_[k], score_[k]);
+    for (std::size_t k = 0; k < limits.yaws; ++k) bounds.all(runs, k, held_[k], score_[k]);
   }
 
   // The best, by what they hold alone or less the cost of free places.

@@ -52,23 +52,23 @@ class SearchArea {
   // hold one of the best, none is overlooked (up to the step of the heading).
   std::vector<PlanarPose> search(const PlanarView& view, const SearchLimits& limits) const;
 
-  // The most that the columns, at these offsets in cells, can reach in each window of each run.
-  void score(const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
-             std::vector<std::uint16_t>& scores) const {
-    add_up(image_, offsets, slices, m, scores);
+  // The most that the columns, at these offsets in cells, can reach in each window of some runs.
+  void score(const std::vector<std::size_t>& runs, const std::int32_t* offsets,
+             const std::uint8_t* slices, std::size_t m, std::vector<std::uint16_t>& scores) const {
+    add_up(image_, runs, offsets, slices, m, scores);
   }
   // How many of m places, at these offsets in cells, are blocked from the middle of each window.
-  void blocked(const std::int32_t* offsets, std::size_t m,
+  void blocked(const std::vector<std::size_t>& runs, const std::int32_t* offsets, std::size_t m,
                std::vector<std::uint16_t>& counts) const {
-    add_up(middles_, offsets, nullptr, m, counts);
+    add_up(middles_, runs, offsets, nullptr, m, counts);
   }
 
-  // Calls visit(its place among the scores, x, y) for each root.
+  // Calls visit(run, place within it, x, y) for each root.
   template <typename Visit>
   void visit(Visit&& visit) const {
     for (std::size_t k = 0; k < runs_.size(); ++k) {
       for (std::int32_t j = 0; j < kSpan; ++j) {
-        if (runs_[k].members >> j & 1u) visit(k * kRun + j, runs_[k].x + j, runs_[k].y);
+        if (runs_[k].members >> j & 1u) visit(k, std::size_t(j), runs_[k].x + j, runs_[k].y);
       }
     }
   }
@@ -112,8 +112,9 @@ class SearchArea {
   void lay_out();
   void lay_flat();
   // Adds up bits, of the slices of each column or of all.
-  void add_up(const std::vector<std::uint8_t>& image, const std::int32_t* offsets,
-              const std::uint8_t* slices, std::size_t m, std::vector<std::uint16_t>& sums) const;
+  void add_up(const std::vector<std::uint8_t>& image, const std::vector<std::size_t>& runs,
+              const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
+              std::vector<std::uint16_t>& sums) const;
   std::size_t place_of(std::int32_t x, std::int32_t y) const {
     return static_cast<std::size_t>(y - low_y_) * wide_ + static_cast<std::size_t>(x - low_x_);
   }

@@ -81,32 +81,25 @@ void SearchArea::lay_flat() {
   }
 }
 
-void SearchArea::add_up(const std::vector<std::uint8_t>& image, const std::int32_t* offsets,
+void SearchArea::add_up(const std::vector<std::uint8_t>& image,
+                        const std::vector<std::size_t>& runs, const std::int32_t* offsets,
                         const std::uint8_t* slices, std::size_t m,
                         std::vector<std::uint16_t>& scores) const {
-  constexpr std::size_t kGroup = 31;  // their sum fits a byte
   const int top = map_.levels() - 1;
   const std::int32_t last = (1 << top) - 1;
-  const Kernels& kernel_table = kernels(parse_isa("auto"));
-  scores.assign(runs_.size() * kRun, 0);
-  std::vector<std::uint8_t> sums(scores.size());
-  std::vector<std::size_t> places(runs_.size());
-  for (std::size_t begin = 0; begin < m; begin += kGroup) {
-    std::fill(sums.begin(), sums.end(), std::uint8_t{0});
-    for (std::size_t i = begin; i < std::min(m, begin + kGroup); ++i) {
-      const std::int32_t x = offsets[2 * i], y = offsets[2 * i + 1];
-      const auto place = static_cast<std::size_t>(((y & last) << top) | (x & last));
-      const std::ptrdiff_t shift =
-          std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
-      const std::size_t first = place * wide_ * high_ + static_cast<std::size_t>(shift);
-      for (std::size_t k = 0; k < places.size(); ++k) places[k] = runs_[k].at + first;
-      const std::uint8_t counted = slices ? slices[i] : std::uint8_t{0xff};
-      kernel_table.add_slices(image.data(), places.data(), places.size(), counted, sums.data());
-    }
-    for (std::size_t w = 0; w < sums.size(); ++w) {
-      scores[w] = static_cast<std::uint16_t>(scores[w] + sums[w]);
-    }
+  std::vector<std::size_t> columns(m), begins;
+  for (std::size_t i = 0; i < m; ++i) {
+    const std::int32_t x = offsets[2 * i], y = offsets[2 * i + 1];
+    const auto place = static_cast<std::size_t>(((y & last) << top) | (x & last));
+    const std::ptrdiff_t shift =
+        std::ptrdiff_t{y >> top} * static_cast<std::ptrdiff_t>(wide_) + (x >> top);
+    columns[i] = place * wide_ * high_ + static_cast<std::size_t>(shift);
   }
+  for (const std::size_t run : runs) begins.push_back(runs_[run].at);
+  const std::vector<std::uint8_t> all(slices ? 0 : m, std::uint8_t{0xff});
+  scores.assign(runs.size() * kRun, 0);
+  kernels(parse_isa("auto")).add_slices(image.data(), columns.data(), slices ? slices : all.data(),
+                                        m, begins.data(), begins.size(), scores.data());
 }
 
 }  // namespace segloc

@@ -10,17 +10,34 @@ namespace {
 
 SEGLOC_VECTOR(uint8_t, Windows, kWindowRun);
 
-void add_slices(const uint8_t* image, const size_t* places, size_t count, uint8_t slices,
-                uint8_t* sums) {
-  for (size_t k = 0; k < count; ++k, sums += kWindowRun) {
-    Windows v, sum;
-    copy_bytes(&v, image + places[k], sizeof(v));
-    copy_bytes(&sum, sums, sizeof(sum));
-    v &= slices;
-    v -= (v >> 1) & 0x55;  // the bits of each byte are counted
-    v = (v & 0x33) + ((v >> 2) & 0x33);
-    sum += (v + (v >> 4)) & 0x0f;
-    copy_bytes(sums, &sum, sizeof(sum));
+constexpr size_t kRunsTogether = 4;  // their sums stay in registers
+constexpr size_t kColumnsInByte = 31;
+
+void add_slices(const uint8_t* image, const size_t* columns, const uint8_t* slices, size_t count,
+                const size_t* runs, size_t run_count, uint16_t* sums) {
+  for (size_t run = 0; run < run_count; run += kRunsTogether) {
+    const size_t few = run_count - run < kRunsTogether ? run_count - run : kRunsTogether;
+    size_t at[kRunsTogether];
+    for (size_t j = 0; j < kRunsTogether; ++j) at[j] = runs[run + (j < few ? j : 0)];
+    for (size_t begin = 0; begin < count; begin += kColumnsInByte) {
+      const size_t end = count - begin < kColumnsInByte ? count : begin + kColumnsInByte;
+      Windows sum[kRunsTogether] = {};
+      for (size_t i = begin; i < end; ++i) {
+        SEGLOC_UNROLL
+        for (size_t j = 0; j < kRunsTogether; ++j) {
+          Windows v;
+          copy_bytes(&v, image + (columns[i] + at[j]), sizeof(v));
+          v &= slices[i];
+          v -= (v >> 1) & 0x55;  // the bits of each byte are counted
+          v = (v & 0x33) + ((v >> 2) & 0x33);
+          sum[j] += (v + (v >> 4)) & 0x0f;
+        }
+      }
+      for (size_t j = 0; j < few; ++j) {
+        uint16_t* to = sums + (run + j) * kWindowRun;
+        for (size_t w = 0; w < kWindowRun; ++w) to[w] = static_cast<uint16_t>(to[w] + sum[j][w]);
+      }
+    }
   }
 }
 

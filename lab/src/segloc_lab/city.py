@@ -126,7 +126,7 @@ def _mapped(drive: Reposed, piece: Piece) -> dict[str, float | int]:
     prior_map.save(piece.map_file)
     return {
         "map_s": time.process_time() - began,
-        "km": float(geometry.travelled(drive.poses)[-1]) / 1e3,
+        "km": float(geometry.distance_travelled(drive.poses)[-1]) / 1e3,
         "described": len(whole),
         "segments": len(prior_map),
         "bytes": piece.map_file.stat().st_size,

@@ -82,7 +82,7 @@ def swathes(recording: Recording, length_m: float = 30.0) -> Swathes:
     poses = recording.poses
     if poses is None:
         raise DatasetError(f"{recording.name}: swathes need the scans' poses")
-    travelled = geometry.travelled(poses)
+    travelled = geometry.distance_travelled(poses)
     cells = np.floor(travelled / length_m)  # one per scan: poses may jump over many swathes
     if not len(travelled) or cells[-1] < 1:
         reach = travelled[-1] if len(travelled) else 0.0

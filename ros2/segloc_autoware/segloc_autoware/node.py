@@ -16,13 +16,7 @@ _PACKAGES = ("autoware_internal_localization_msgs", "tier4_localization_msgs")
 
 
 def service_type() -> Any:
-    """PoseWithCovarianceStamped, of whichever Autoware is installed.
-
-    Raises
-    ------
-    ConfigError
-        If there is none.
-    """
+    """Return PoseWithCovarianceStamped of the Autoware that is installed; ConfigError if none."""
     for package in _PACKAGES:
         try:
             return importlib.import_module(f"{package}.srv").PoseWithCovarianceStamped
@@ -57,11 +51,11 @@ class AlignNode(SeglocNode):
         found = await self.find(prior, anywhere=False)
         if self.pump is None:
             return response
-        result = self.pump.read(lambda robot: aligned(robot, found))
-        response.success = result.success
-        self._set_reliable(response, result.reliable)
-        if result.pose is not None:
-            response.pose_with_covariance = pose_out(result.pose)
+        pose, reliable = self.pump.read(lambda robot: aligned(robot, found))
+        response.success = pose is not None
+        self._set_reliable(response, reliable)
+        if pose is not None:
+            response.pose_with_covariance = pose_out(pose)
         else:
             self.get_logger().warning(f"ndt_align_srv: {self.why()}")
         return response

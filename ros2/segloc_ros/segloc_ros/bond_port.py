@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 import time
+import uuid
 from typing import TYPE_CHECKING, Any
-
-from .core.bond import PERIOD_S, TIMEOUT_S, Bond
 
 if TYPE_CHECKING:
     from rclpy.clock import Clock
     from rclpy.node import Node
 
+PERIOD_S = 0.25
+"""Time between heartbeats [s]; Nav2's nodes send four to ten per second."""
+TIMEOUT_S = 4.0
+"""Time without heartbeats of the other end after which a bond is broken [s]."""
+
 
 class BondPort:
-    """Sends heartbeats to a lifecycle manager from construction to :meth:`close`.
+    """Sends heartbeats to a lifecycle manager from construction to :meth:`close`, as bondcpp.
 
-    Its topic is ``bond``, in newer versions of Nav2 ``bond/NAME``; both are served.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    clock : rclpy.clock.Clock
-        A steady clock.
-
-    Raises
-    ------
-    ImportError
-        If the package bond is not installed.
+    Its topic is ``bond``, in newer versions of Nav2 ``bond/NAME``; both are served. A bond that the
+    other end has ended, or that fell silent, stays broken. Raise ImportError if the package bond is
+    not installed.
     """
 
     def __init__(self, node: Node, clock: Clock) -> None:
         from bond.msg import Status
 
-        self._type, self._node, self._bond = Status, node, Bond()
+        self._type, self._node = Status, node
+        self._instance, self._other = str(uuid.uuid4()), ""
+        self._received_s, self._is_broken = 0.0, False
         topics = ("bond", f"bond/{node.get_name()}")
         self._publishers = [node.create_publisher(Status, topic, 10) for topic in topics]
         self._subscriptions = [
@@ -43,7 +40,7 @@ class BondPort:
     def close(self) -> None:
         """End the bond, with a last message to the manager."""
         self._node.destroy_timer(self._timer)
-        if not self._bond.is_broken:
+        if not self._is_broken:
             self._send(False)
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
@@ -51,21 +48,25 @@ class BondPort:
             self._node.destroy_publisher(publisher)
 
     def _beat(self) -> None:
-        self._bond.check(time.monotonic())
-        if not self._bond.is_broken:
+        if self._other and time.monotonic() - self._received_s > TIMEOUT_S:
+            self._is_broken = True
+        if not self._is_broken:
             self._send(True)
 
     def _receive(self, message: Any) -> None:
-        if message.id != self._node.get_name():
+        """Take a heartbeat or the message of an end; not its own, which come back, or a third's."""
+        if message.id != self._node.get_name() or message.instance_id == self._instance:
             return
-        was_broken = self._bond.is_broken
-        self._bond.receive(message.instance_id, message.active, time.monotonic())
-        if self._bond.is_broken and not was_broken:
+        if self._other not in ("", message.instance_id):
+            return
+        self._other, self._received_s = message.instance_id, time.monotonic()
+        if not (message.active or self._is_broken):
+            self._is_broken = True
             self._node.get_logger().warning("the lifecycle manager has ended its bond")
             self._send(False)
 
     def _send(self, active: bool) -> None:
-        message = self._type(id=self._node.get_name(), instance_id=self._bond.instance)
+        message = self._type(id=self._node.get_name(), instance_id=self._instance)
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.active = active
         message.heartbeat_timeout, message.heartbeat_period = TIMEOUT_S, PERIOD_S

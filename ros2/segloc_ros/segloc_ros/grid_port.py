@@ -9,18 +9,7 @@ if TYPE_CHECKING:
 
 
 class GridPort:
-    """Calls ``load_map`` of Nav2's map server.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    service : str
-
-    Raises
-    ------
-    ImportError
-        If nav2_msgs is not installed.
-    """
+    """Calls ``load_map`` of Nav2's map server; raise ImportError if nav2_msgs is not installed."""
 
     def __init__(self, node: Node, service: str) -> None:
         from nav2_msgs.srv import LoadMap

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import threading
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -30,10 +33,10 @@ from std_srvs.srv import Empty, Trigger
 from segloc import Prior, SeglocError
 
 from .bond_port import BondPort
-from .core.diagnosis import Level
+from .core.diagnosis import diagnose
 from .core.frames import Transform
 from .core.livox import is_livox
-from .core.maps import MapFile, grid_beside
+from .core.maps import grid_beside
 from .core.pump import Pump
 from .core.replies import Reply
 from .core.robot import Robot
@@ -43,7 +46,6 @@ from .messages import click_in, pose_in, seconds
 from .outputs import Outputs
 from .process import EndSignal
 from .tf_port import TfPort
-from .waiting import Waiting
 
 try:
     from segloc_msgs.srv import LoadMap
@@ -81,6 +83,36 @@ def _message_type(name: str) -> Any:
         raise ImportError(f"{package} has no message {message}") from error
 
 
+@dataclass
+class _Call:
+    fixes: int
+    until: float
+    future: Future
+
+
+class Waiting:
+    """Pending service calls."""
+
+    def __init__(self) -> None:
+        self._calls: list[_Call] = []
+        self._lock = threading.Lock()
+
+    def wait(self, fixes: int, seconds: float, future: Future) -> Future:
+        """Return the future: True once there are more fixes than ``fixes``, else False."""
+        with self._lock:
+            self._calls.append(_Call(fixes, time.monotonic() + seconds, future))
+        return future
+
+    def settle(self, fixes: int, given_up: bool = False) -> None:
+        """Answer the calls that are found, given up or timed out."""
+        now = time.monotonic()
+        with self._lock:
+            done = [c for c in self._calls if fixes > c.fixes or given_up or now > c.until]
+            self._calls = [c for c in self._calls if c not in done]
+        for call in done:
+            call.future.set_result(fixes > call.fixes)
+
+
 class SeglocNode(LifecycleNode):
     """Localizes a robot in a prior map. Parameters: :class:`segloc_ros.core.Settings`."""
 
@@ -98,7 +130,6 @@ class SeglocNode(LifecycleNode):
         self._grid: GridPort | None = None
         self._inputs: list[Any] = []
         self._cloud_types: dict[str, str] = {}  # by topic, as subscribed
-        self._heard_at, self._quiet = time.monotonic(), False
         self._bond: BondPort | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_TICK_S, self._tick, clock=self._steady)
@@ -116,12 +147,7 @@ class SeglocNode(LifecycleNode):
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def settings(self) -> Settings:
-        """Return the settings that the parameters hold.
-
-        Raises
-        ------
-        segloc.ConfigError
-        """
+        """Return the settings that the parameters hold; raise ConfigError if they are wrong."""
         values = {}
         for name, default, _ in Settings.declared():
             value = self.get_parameter_or(name).value
@@ -145,14 +171,14 @@ class SeglocNode(LifecycleNode):
                 self._without_tf(settings)
             self._grid = self._grid_port(settings.grid_service)
             self.robot = Robot(settings)
-            maps = MapFile(settings.map, settings.threads, self.get_logger().info)
         except REFUSALS as error:
             self.get_logger().error(one_line(error))
             self._tear_down()
             return TransitionCallbackReturn.FAILURE
+        self.robot.maps.note = self.get_logger().info
         self.pump = Pump(
-            self.robot, maps, self._publish, self._outputs.show_map, self._warn,
-            clouds=settings.points_depth * (1 + len(settings.more_points_topics)),
+            self.robot, self._publish, self._outputs.show_map, self._warn,
+            scans=settings.points_depth * (1 + len(settings.more_points_topics)),
         )  # fmt: skip
         return super().on_configure(state)
 
@@ -266,10 +292,8 @@ class SeglocNode(LifecycleNode):
 
     def _close_pump(self) -> None:
         if self.pump is not None:
-            self.pump.close()
+            self.pump.end()
             self.pump = None
-        if self.robot is not None and self.robot.keeper is not None:
-            self.robot.keeper.flush()
 
     def destroy_node(self) -> None:
         self._end_bond()
@@ -281,45 +305,39 @@ class SeglocNode(LifecycleNode):
     def _warn(self, fault: str) -> None:
         self.get_logger().warning(fault, throttle_duration_sec=5.0)
 
+    def _feed(self, call: Callable[[Robot], Any], *, is_scan: bool = False) -> None:
+        if self.pump is not None:
+            self.pump.feed(call, is_scan=is_scan)
+
     def _on_cloud(self, topic: str, data: bytes) -> None:
         def take(robot: Robot) -> list[Reply]:
             message = deserialize_message(data, PointCloud2)
             stamp, frame = seconds(message.header.stamp), message.header.frame_id
             return robot.on_cloud(message, stamp, frame, topic)
 
-        self._heard_at, self._quiet = time.monotonic(), False
-        if self.pump is not None:
-            self.pump.feed_cloud(take)
+        self._feed(take, is_scan=True)
 
     def _on_livox(self, topic: str, data: bytes) -> None:
-        self._heard_at, self._quiet = time.monotonic(), False
-        if self.pump is not None:
-            self.pump.feed_cloud(lambda robot: robot.on_livox(data, topic))
+        self._feed(lambda robot: robot.on_livox(data, topic), is_scan=True)
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp, frame, child = (
             seconds(message.header.stamp), message.header.frame_id, message.child_frame_id
         )  # fmt: skip
-        self._heard_at, self._quiet = time.monotonic(), False
         pose = message.pose.pose
-        if self.pump is not None:
-            self.pump.feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(pose)))
+        self._feed(lambda robot: robot.on_odometry(stamp, frame, child, pose_in(pose)))
 
     def _on_tf(self, transforms: list[Transform], static: bool) -> None:
-        if self.pump is not None:
-            self.pump.feed(lambda robot: robot.on_transforms(transforms, static))
+        self._feed(lambda robot: robot.on_transforms(transforms, static))
 
     def _on_imu(self, message: Imu) -> None:
-        a = message.linear_acceleration
-        if self.pump is None or message.linear_acceleration_covariance[0] < 0:
-            return
-        stamp, frame = seconds(message.header.stamp), message.header.frame_id
-        felt = np.array([a.x, a.y, a.z])
-        self.pump.feed(lambda robot: robot.on_acceleration(stamp, frame, felt))
+        if message.linear_acceleration_covariance[0] >= 0:
+            a, stamp = message.linear_acceleration, seconds(message.header.stamp)
+            frame, felt = message.header.frame_id, np.array([a.x, a.y, a.z])
+            self._feed(lambda robot: robot.on_acceleration(stamp, frame, felt))
 
     def _on_fix(self, message: NavSatFix) -> None:
-        if self.pump is not None:
-            self.pump.feed(lambda robot: robot.on_fix(message))
+        self._feed(lambda robot: robot.on_fix(message))
 
     def _on_click(self, message: PoseWithCovarianceStamped) -> None:
         if self.pump is None:
@@ -345,26 +363,16 @@ class SeglocNode(LifecycleNode):
     def _tick(self) -> None:
         if self.pump is None or self._outputs is None:
             return
-        if self.pump.error is not None:
-            raise self.pump.error
+        self.pump.check()
         self.pump.read(self._look_after)
 
     def _look_after(self, robot: Robot) -> None:
-        quiet_s = time.monotonic() - self._heard_at
-        if self._inputs and quiet_s > robot.settings.silent_s and not self._quiet:
-            self._quiet = True
-            self._publish(robot.quiet(quiet_s))
         if self._inputs:
+            self._publish(robot.report_silence())
             robot.publishers = self.count_publishers(self._inputs[0].topic_name)
             self._follow_cloud_types(robot)
         if self._outputs is not None:
-            told = self._outputs.look_after(robot, bool(self._inputs))
-            if told is not None and told.level is Level.OK:
-                self.get_logger().info(told.message)
-            elif told is not None and told.level is Level.ERROR:
-                self.get_logger().error(told.message)
-            elif told is not None:
-                self.get_logger().warning(told.message)
+            self._outputs.look_after(robot, bool(self._inputs))
         if robot.keeper is not None:
             for note in robot.keeper.notes:
                 self.get_logger().info(note)
@@ -438,7 +446,7 @@ class SeglocNode(LifecycleNode):
         """Return the state in one line."""
         if self.pump is None or self._outputs is None or not self._inputs:
             return "the node is not active"
-        return self.pump.read(self._outputs.summary)
+        return self.pump.read(diagnose).message
 
 
 def run(kind: type[SeglocNode], end: EndSignal) -> bool:

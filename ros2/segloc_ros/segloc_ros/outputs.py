@@ -15,7 +15,15 @@ from segloc import Localizer
 
 from .core.diagnosis import Diagnosis, Level, RobotState, diagnose, robot_state
 from .core.maps import map_points
-from .core.replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
+from .core.replies import (
+    CandidatesReply,
+    InitialPose,
+    MapToOdom,
+    MatchesReply,
+    OdometryReply,
+    PoseReply,
+    Reply,
+)
 from .core.robot import Robot
 from .core.settings import Settings
 from .messages import (
@@ -37,13 +45,7 @@ except ImportError:  # then ~/localized and /diagnostics have the state
 
 
 class Outputs:
-    """The publishers of a node.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    settings : Settings
-    """
+    """The publishers of a node."""
 
     def __init__(self, node: Node, settings: Settings) -> None:
         self._node, self._settings = node, settings
@@ -66,21 +68,17 @@ class Outputs:
         """Publish an output of the core."""
         if isinstance(reply, PoseReply):
             self._pose.publish(pose_out(reply))
-        elif isinstance(reply, InitialPose):
-            if self._tracker is not None:
-                self._tracker.send(reply)
-        elif isinstance(reply, MapToOdom):
-            if tf is not None:
-                tf.send(reply.transform)
+        elif isinstance(reply, InitialPose) and self._tracker is not None:
+            self._tracker.send(reply)
         elif isinstance(reply, CandidatesReply):
             self._candidates.publish(candidates_out(reply))
-        elif isinstance(reply, OdometryReply):
-            if self._odometry is not None:
-                self._odometry.publish(odometry_out(reply))
-            if tf is not None and self._settings.odom_tf:
-                tf.send(reply.transform)
-        else:
+        elif isinstance(reply, MatchesReply):
             self._matches.publish(matches_out(reply))
+        elif isinstance(reply, OdometryReply) and self._odometry is not None:
+            self._odometry.publish(odometry_out(reply))
+        is_odometry = isinstance(reply, OdometryReply) and self._settings.odom_tf
+        if tf is not None and (is_odometry or isinstance(reply, MapToOdom)):
+            tf.send(reply.transform)
 
     def publish_state(self, robot: Robot, active: bool) -> None:
         """Publish the state of a robot if anything but its stamp has changed."""
@@ -103,9 +101,11 @@ class Outputs:
         for note in localizer.notes:
             self._node.get_logger().warning(note)
 
-    def look_after(self, robot: Robot, active: bool) -> Diagnosis | None:
-        """Publish state and diagnosis, serve late trackers; return a diagnosis that is new."""
-        told = self._diagnosis(robot, active)
+    def look_after(self, robot: Robot, active: bool) -> None:
+        """Publish state and diagnosis, log a diagnosis that is new, and serve late trackers."""
+        told = diagnose(robot)
+        if not active:
+            told = Diagnosis(Level.STALE, "inactive", told.values)
         self.publish_state(robot, active)
         if self._tracker is not None:
             if robot.T_map_odom is None:
@@ -116,13 +116,14 @@ class Outputs:
         name = f"{self._node.get_name()}: localization"
         self._diagnostics.publish(diagnostics_out(told, name, stamp))
         if told.message == self._said:
-            return None
-        self._said = told.message
-        return told
-
-    def summary(self, robot: Robot) -> str:
-        """Return the state in one line."""
-        return diagnose(robot).message
+            return
+        self._said, logger = told.message, self._node.get_logger()
+        if told.level is Level.OK:  # a line each: rclpy knows calls by their lines
+            logger.info(told.message)
+        elif told.level is Level.ERROR:
+            logger.error(told.message)
+        else:
+            logger.warning(told.message)
 
     def close(self) -> None:
         """Destroy the publishers."""
@@ -133,8 +134,3 @@ class Outputs:
                 self._node.destroy_publisher(publisher)
         if self._tracker is not None:
             self._tracker.close()
-
-    @staticmethod
-    def _diagnosis(robot: Robot, active: bool) -> Diagnosis:
-        told = diagnose(robot)
-        return told if active else Diagnosis(Level.STALE, "inactive", told.values)

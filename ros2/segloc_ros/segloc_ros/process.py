@@ -5,15 +5,12 @@ Nothing but the standard library is imported before signals are taken care of.
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from .node import SeglocNode
 
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h: started again, it would fail again
 LAUNCHED = "SEGLOC_LAUNCHED"  # environment variable: the process ends with its parent
@@ -56,8 +53,8 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def start(load: Callable[[], type[SeglocNode]]) -> None:
-    """Run a node until it ends; ``load`` imports its class."""
+def main(module: str = "segloc_ros.node", name: str = "SeglocNode") -> None:
+    """Run the node of a class until it ends."""
     end = EndSignal()
     from rclpy.logging import get_logger
     from rclpy.node import Node
@@ -70,7 +67,7 @@ def start(load: Callable[[], type[SeglocNode]]) -> None:
         )
     else:
         try:
-            kind = load()
+            kind = getattr(importlib.import_module(module), name)
         except ImportError as error:
             fault = f"{error}: install it into {sys.executable}, the Python of this node"
     if fault:
@@ -79,14 +76,3 @@ def start(load: Callable[[], type[SeglocNode]]) -> None:
     from .node import run
 
     sys.exit(0 if run(kind, end) else EXIT_CONFIG)
-
-
-def main() -> None:
-    """Run the node of segloc_ros."""
-
-    def load() -> type[SeglocNode]:
-        from .node import SeglocNode
-
-        return SeglocNode
-
-    start(load)

@@ -20,16 +20,8 @@ _DEPTH = 100
 class TfPort:
     """Listens to /tf and /tf_static, and sends on /tf.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    heard : callable
-        Called with transforms, and whether they are static.
-
-    Raises
-    ------
-    ImportError
-        If tf2_msgs is not installed.
+    ``heard`` is called with transforms, and whether they are static. Raise ImportError if tf2_msgs
+    is not installed.
     """
 
     def __init__(self, node: Node, heard: Heard) -> None:

@@ -15,15 +15,7 @@ from .messages import pose_out
 class TrackerPort:
     """Sends the robot's pose to a tracker, again when the tracker appears.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    settings : Settings
-
-    Raises
-    ------
-    ImportError
-        If a service is configured and nav2_msgs is not installed.
+    Raise ImportError if a service is configured and nav2_msgs is not installed.
     """
 
     def __init__(self, node: Node, settings: Settings) -> None:

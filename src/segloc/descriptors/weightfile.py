@@ -139,12 +139,12 @@ def shipped_weights(file: str) -> Path:
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
-    with opened(path) as file:
+    with open_weights(path) as file:
         return file.metadata, {name: file.read(name) for name in sorted(file.tensors)}
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[TensorFile]:
+def open_weights(path: Path) -> Iterator[TensorFile]:
     """Open a safetensors file for reading, without mapping it, since it may shrink meanwhile.
 
     Raises

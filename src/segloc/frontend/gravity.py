@@ -105,7 +105,7 @@ class AttitudeEstimator:
         if len(normals) < self.config.min_normals:
             return None
         grid = self._grid @ geometry.upright(expected)[:3, :3]
-        found = _refined(normals, _native.fit_vertical(normals, grid, _TOLERANCES_RAD[:-1]))
+        found = _refine(normals, _native.fit_vertical(normals, grid, _TOLERANCES_RAD[:-1]))
         off = angle_deg(found.up, expected)
         if off > self.config.max_tilt_deg or found.sigma_deg > self.config.max_sigma_deg:
             return None
@@ -142,7 +142,7 @@ def _directions(max_tilt_deg: float) -> Float64:
     return np.concatenate(rings)
 
 
-def _refined(normals: Float32, up: Float64) -> Attitude:
+def _refine(normals: Float32, up: Float64) -> Attitude:
     """Fit the direction parallel to floor normals and normal to wall normals, with its error."""
     tolerance, exact = _TOLERANCES_RAD[-1], normals.astype(np.float64)
     along = np.abs(exact @ up)

@@ -133,12 +133,12 @@ class Accumulator:
         InvalidScan
             If there is no scan, one of several has no pose, or the type is wrong.
         """
-        scans = [self.config.without_body(scan) for scan in listed(scans)]
+        scans = [self.config.without_body(scan) for scan in as_scans(scans)]
         anchor = scans[reference]
         if len(scans) == 1 and anchor.T_odom_sensor is None:
             return self._alone(anchor)
         T_local_odom = geometry.inverse(geometry.levelled(odometry_pose(anchor)))
-        clouds = [self._moved(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
+        clouds = [self._crop(T_local_odom @ odometry_pose(scan), scan.points) for scan in scans]
         T_local_sensor = T_local_odom @ odometry_pose(anchor)
         points = np.concatenate(clouds)
         fault = reach_fault(scans, len(points), self.config.radius_m)
@@ -148,7 +148,7 @@ class Accumulator:
         """Return the local cloud of a scan without a pose."""
         up, attitude = self._up(scan)
         T_local_sensor = geometry.upright(up)
-        points = self._moved(T_local_sensor, scan.points)
+        points = self._crop(T_local_sensor, scan.points)
         fault = reach_fault([scan], len(points), self.config.radius_m)
         return LocalCloud(points, T_local_sensor, 1, scan.stamp, attitude, fault=fault)
 
@@ -172,12 +172,12 @@ class Accumulator:
         T_base_sensor = scan.T_base_sensor if configured is None else configured
         return unknown if T_base_sensor is None else T_base_sensor[2, :3].copy()
 
-    def _moved(self, T_local_sensor: Pose, points: Float32) -> Float32:
+    def _crop(self, T_local_sensor: Pose, points: Float32) -> Float32:
         """Return the points of a scan within the radius, in the frame of the local cloud."""
         return _native.moved_crop(points, T_local_sensor, self.config.radius_m)
 
 
-def listed(scans: Scans) -> Sequence[Scan]:
+def as_scans(scans: Scans) -> Sequence[Scan]:
     """Return the scans of a query as a sequence.
 
     Raises

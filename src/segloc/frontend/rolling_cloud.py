@@ -364,7 +364,7 @@ class RecordedWindows:
         if held and not (held[0] <= scans.start <= held[-1] < scans.stop):
             window.clear()
             held = ()
-        fresh = [self._posed(i) for i in scans if not held or i > held[-1]]
+        fresh = [self._with_pose(i) for i in scans if not held or i > held[-1]]
         with (times or StageTimes())("gathering"):
             while len(window) and window.numbers[0] < scans.start:
                 window.drop(0)
@@ -372,6 +372,6 @@ class RecordedWindows:
                 window.push(i, scan, T)
             return window.cloud(index - scans.start)
 
-    def _posed(self, i: int) -> tuple[Scan, Pose]:
+    def _with_pose(self, i: int) -> tuple[Scan, Pose]:
         scan = self._read(i)
         return scan, odometry_pose(scan)

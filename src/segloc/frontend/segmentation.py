@@ -44,7 +44,7 @@ class ClusterConfig(Section):
         description="clusters are formed above each of these heights over ground, metres",
     )
 
-    def widened(self, points: Float32) -> ClusterConfig:
+    def adapt(self, points: Float32) -> ClusterConfig:
         """Return these settings, adapted if the points are too far apart to link.
 
         Parameters
@@ -156,7 +156,7 @@ class Segmenter:
             points = _native.voxel_grid(points, cluster.voxel_size)
         heights = heights_above_ground(points, config)
         structure, low = _native.split_by_height(points, heights, config.structure_height)
-        cluster = cluster.widened(structure)
+        cluster = cluster.adapt(structure)
         segments = _native.segments_above(
             points,
             heights,

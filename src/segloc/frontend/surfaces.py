@@ -117,8 +117,9 @@ class Surfaces:
         return normal if min(within.mean(), alike.mean()) > _MIN_IN_PLANE else None
 
 
-_SLIDING_VOXEL_M, _MIN_FIXED = 0.3, 0.05
-"""Voxel size of a view, and least share of it that fixes the position in each direction."""
+_SLIDING_VOXEL_M, _SLIDING_SAMPLE, _MIN_FIXED = 0.3, 1000, 0.05
+"""Voxel size of a view, most points whose normals are found, and least share of them that fixes the
+position in each direction."""
 _SIGNS = (-1.0, 1.0)
 Side = tuple[int, int]
 """Axis, and 0 for its negative or 1 for its positive side."""
@@ -164,10 +165,11 @@ def slides(structure: Float32) -> bool:
     thinned = _native.voxel_grid(np.ascontiguousarray(structure), _SLIDING_VOXEL_M)
     if len(thinned) < _MIN_PLACES:
         return False
-    normals = _native.normals(thinned, 1.0, 2.5 * _SLIDING_VOXEL_M)
+    surface = _native.Surface(thinned, 1.0, 2.5 * _SLIDING_VOXEL_M)
+    normals = surface.sampled_normals(_SLIDING_SAMPLE)
     flat = normals[normals.any(axis=1)][:, :2]
-    fixed = np.linalg.eigvalsh(flat.T @ flat)[0] + 0.5 * (len(thinned) - len(flat))
-    return bool(fixed < _MIN_FIXED * len(thinned))
+    fixed = np.linalg.eigvalsh(flat.T @ flat)[0] + 0.5 * (len(normals) - len(flat))
+    return bool(fixed < _MIN_FIXED * len(normals))
 
 
 def looks_up(points: Float32) -> bool:

@@ -103,7 +103,7 @@ def _of_floors(ups: list[Float64]) -> Tilt | None:
 
 def _positions(poses: Float64) -> list[int]:
     """Return scans spread over the trajectory, or over the recording of a sensor at rest."""
-    travelled = geometry.travelled(poses)
+    travelled = geometry.distance_travelled(poses)
     if travelled[-1] < 1.0:
         return geometry.spread(len(poses), 4)
     return [int(i) for i in geometry.stations(travelled, float(travelled[-1]) / _VIEWS)]
@@ -115,14 +115,14 @@ def _view(read: Callable[[int], Scan], poses: Float64, position: int, scans: ran
     clouds, count = [], 0
     for i in sorted(scans, key=lambda i: abs(i - position)):
         points = read(i).points
-        clouds.append(points if i == position else _moved(T_sensor_odom @ poses[i], points))
+        clouds.append(points if i == position else _transform(T_sensor_odom @ poses[i], points))
         count += len(points)
         if count >= _VIEW_POINTS:
             break
     return np.concatenate(clouds)
 
 
-def _moved(T: Pose, points: Float32) -> Float32:
+def _transform(T: Pose, points: Float32) -> Float32:
     return geometry.transform(T, points).astype(np.float32)
 
 
@@ -157,7 +157,7 @@ def level_transform(tilt: Tilt, T_odom_first: Pose) -> Pose:
     return geometry.rigid(R, origin - R @ origin)
 
 
-def levelled(recording: Recording, tilt: Tilt | None) -> tuple[Reposed, Pose]:
+def level_recording(recording: Recording, tilt: Tilt | None) -> tuple[Reposed, Pose]:
     """Return the recording with level poses, rotated about the first one, and T_level_odom.
 
     Raises

@@ -20,7 +20,7 @@ from ..localizer import Localizer
 from ..map.config import BuildConfig
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..system.text import counted
+from ..system.text import quantity
 from ..types import Float64, LocalCloud, Pose, Recording
 
 MAX_SHIFT_M, MAX_TURN_DEG = 0.5, 1.0
@@ -82,7 +82,7 @@ class Shift:
         if self.is_known:
             return ""
         return self.why or (
-            f"{self.localized} of {counted(self.clouds, 'places')} along it are localized in the "
+            f"{self.localized} of {quantity(self.clouds, 'places')} along it are localized in the "
             "map: it is elsewhere, or the place looks too different"
         )
 
@@ -167,7 +167,7 @@ def measure_shift(
         return Shift.unknown(str(error))
     chosen, near_m = _stations(path, prior_map.trajectory)
     displacements = []
-    for done, (T_map_sensor, cloud) in enumerate(_posed(session, chosen, opened.config), 1):
+    for done, (T_map_sensor, cloud) in enumerate(_clouds(session, chosen, opened.config), 1):
         near = Prior(T_map_sensor[:2, 3], near_m, anywhere=True) if near_m else None
         answer = opened.locate(opened.describe(cloud), near=near)
         if answer.localized:
@@ -197,19 +197,19 @@ def _stations(path: Float64, mapped: Float64) -> tuple[list[int], float]:
         distances, _ = cKDTree(mapped[:, :3, 3]).query(positions, distance_upper_bound=_REACH_M)
         reached = np.flatnonzero(np.isfinite(distances))
         near, radius_m = (reached, _NEAR_M) if len(reached) else (near, 0.0)
-    travelled = geometry.travelled(path[near])
+    travelled = geometry.distance_travelled(path[near])
     even = np.linspace(0.0, travelled[-1], min(_MAX_CLOUDS, len(near)))
     return [int(k) for k in near[np.unique(np.searchsorted(travelled, even))]], radius_m
 
 
-def _posed(session: Session, chosen: list[int], config: Config) -> Iterator[Posed]:
+def _clouds(session: Session, chosen: list[int], config: Config) -> Iterator[Posed]:
     """Yield the local clouds of a session at some of its poses."""
     if isinstance(session, SegmentMap):
         return _around(session, chosen, config.local_cloud.radius_m)
-    return _accumulated(session, chosen, config)
+    return _accumulate(session, chosen, config)
 
 
-def _accumulated(recording: Recording, chosen: list[int], config: Config) -> Iterator[Posed]:
+def _accumulate(recording: Recording, chosen: list[int], config: Config) -> Iterator[Posed]:
     """Yield clouds of some scans around each pose: all of a window could be hundreds."""
     local, poses = config.local_cloud, recording.poses
     assert poses is not None

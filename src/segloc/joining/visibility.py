@@ -80,7 +80,7 @@ def visibility(
         raise DatasetError(
             f"{recording.name}: every scan needs a pose in the map frame: see segloc.align_to_map"
         )
-    travelled = geometry.travelled(poses)
+    travelled = geometry.distance_travelled(poses)
     chosen = geometry.stations(travelled, config.every_m)
     passes = np.zeros(len(points), np.int32)
     cloud = VoxelCloud(np.empty((0, 3), np.float32), origin, config.near_m / 2)

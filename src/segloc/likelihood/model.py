@@ -95,9 +95,9 @@ class Known(Promise):
         """Return the log-ratio of a view from a pose against one from elsewhere."""
         right = 1.0 / (1.0 + math.exp(-min(max(self.log_odds(features), -50.0), 50.0)))
         p = self.misleading + (1.0 - 2.0 * self.misleading) * right
-        return self.told(unknown) * math.log(p / (1.0 - p))
+        return self.information(unknown) * math.log(p / (1.0 - p))
 
-    def told(self, unknown: float) -> float:
+    def information(self, unknown: float) -> float:
         """Return how much a view can say, in [0, 1]: less where the map knows less of it."""
         return float(1.0 - unknown**self.power)
 
@@ -258,9 +258,9 @@ def load_model(path: Path) -> Model:
 
 def shipped_model(*, ground: bool = True) -> Model:
     """Return the shipped model, or that of maps without ground."""
-    return _shipped("posterior.json" if ground else "posterior-without-ground.json")
+    return _load_shipped("posterior.json" if ground else "posterior-without-ground.json")
 
 
 @cache
-def _shipped(name: str) -> Model:
+def _load_shipped(name: str) -> Model:
     return load_model(Path(__file__).resolve().parent.parent / "weights" / name)

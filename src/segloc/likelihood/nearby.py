@@ -90,10 +90,10 @@ class NearbySearch:
         here = self._slight[:, None, None] & (distance < self._separation.metres)
         start = _argmax(np.where(here, share, -1.0))
         elsewhere = self._peaks(np.where(here, -1.0, share), shifts)
-        rivals = [self._moved(T, peak, shifts) for peak in islice(elsewhere, config.most)]
+        rivals = [self._shift(T, peak, shifts) for peak in islice(elsewhere, config.most)]
         if share[start] < _BETTER * share[0][distance == 0.0][0]:
             return Surroundings(T, rivals)
-        return Surroundings(self._moved(T, start, shifts), rivals)
+        return Surroundings(self._shift(T, start, shifts), rivals)
 
     def storeys(self, points: Float32, T: Pose, radius: float) -> list[Pose]:
         """Return poses above and below T at which the clouds fit nearly as well.
@@ -134,7 +134,7 @@ class NearbySearch:
             alike = self._slight if self._slight[h] else np.arange(len(share)) == h
             share[alike[:, None, None] & (close < self._separation.metres)] = -1.0
 
-    def _moved(self, T: Pose, at: tuple[int, int, int], shifts: Float64) -> Pose:
+    def _shift(self, T: Pose, at: tuple[int, int, int], shifts: Float64) -> Pose:
         h, i, j = at
         moved = T @ geometry.yaw_transform(self._headings[h])
         moved[:2, 3] += shifts[j], shifts[i]

@@ -170,7 +170,7 @@ class QueryCloud:
     sample : (N, 3) float32
         Points of the overlap.
     aligned : dict
-        Alignments so far, by their start.
+        Alignments so far, by their start and its frame.
     rough : dict
         Rough overlaps so far, by pose.
     """
@@ -329,31 +329,32 @@ class MapCloud:
             self._absolute(found.start), [self._absolute(T) for T in [*found.rivals, *others]]
         )
 
-    def aligned(self, T_map_local: Pose, query: QueryCloud, *, still: bool = False) -> Aligned:
+    def aligned(self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None) -> Aligned:
         """Align some of a query's points from a pose; at the pose itself if ICP fails.
 
-        ``still`` does not align.
+        An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
-        T, config = self._relative(T_map_local), self._config
-        found = None if still else self._best(T, query, roughly=True)
+        T, found = self._from(T_map_local, query, known, roughly=True)
         if found is None:
-            overlap, _ = self._target.overlap(query.sample, T, config.overlap_radius)
+            overlap, _ = self._target.overlap(query.sample, T, self._config.overlap_radius)
         else:
-            T, overlap = found.T_target_source, found.overlap
+            overlap = found.overlap
         return Aligned(self._absolute(T), overlap, self._seen(query, T))
 
-    def measured(self, T_map_local: Pose, query: QueryCloud, *, still: bool = False) -> Observation:
+    def measured(
+        self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None
+    ) -> Observation:
         """Align a query from a pose, and compare it; at the pose itself if ICP fails.
 
-        ``still`` does not align.
+        An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
-        T, config = self._relative(T_map_local), self._config
+        config = self._config
         covariance: Float64 | None = None
-        found = None if still else self._best(T, query, roughly=False)
+        T, found = self._from(T_map_local, query, known, roughly=False)
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
-            T, covariance = found.T_target_source, ERRORS.widened(found.covariance)
+            covariance = ERRORS.widened(found.covariance)
             overlap, rmse = found.overlap, found.rmse
         codes = self._known.codes(query.sample, T, config.overlap_radius)
         flush, walls = self._walls(query, T)
@@ -404,6 +405,20 @@ class MapCloud:
         )
         return query.seen(points, np.ascontiguousarray(geometry.inverse(T)))
 
+    def _from(
+        self, T_map_local: Pose, query: QueryCloud, known: Pose | None, *, roughly: bool
+    ) -> tuple[Pose, Registered | None]:
+        """Return the pose that is aligned, relative to the origin, and its alignment, if any."""
+        T = self._relative(T_map_local)
+        found = self._best(T, query, roughly)
+        if found is None:
+            return T, None
+        if known is not None:
+            stay = self._relative(known)
+            if self._separation.apart(stay, found.T_target_source):
+                return stay, None
+        return found.T_target_source, found
+
     def _best(self, T: Pose, query: QueryCloud, roughly: bool) -> Registered | None:
         """Return the alignment from T; one with all points is repeated until it converges."""
         found = self._registered(T, T, query, roughly)
@@ -422,7 +437,7 @@ class MapCloud:
         """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._config.refine:
             return None
-        key = start.tobytes() + bytes([roughly])
+        key = self._origin.tobytes() + start.tobytes() + bytes([roughly])
         if key not in query.aligned:
             radius = self._config.overlap_radius
             query.aligned[key] = self._aligner.register(

@@ -132,7 +132,9 @@ class Posterior:
             return ambiguous_with(self.places[1].T_map_local)
         runner_up = f", runner-up {self.places[1]}" if len(self.places) > 1 else ""
         if reason is Reason.NOT_IN_MAP:
-            return f"{reason} (probability {floored(self.not_in_map)}): {best}{runner_up}"
+            return (
+                f"{reason} (probability {format_probability(self.not_in_map)}): {best}{runner_up}"
+            )
         return f"{reason.below(self.confidence, min_confidence)}: {best}{runner_up}"
 
 
@@ -142,6 +144,6 @@ def log_odds(probability: float) -> float:
     return math.log(p / (1.0 - p))
 
 
-def floored(probability: float) -> str:
+def format_probability(probability: float) -> str:
     """Format a probability with two digits, never rounded up to 1."""
     return f"{math.floor(100 * probability) / 100:.2f}"

@@ -300,9 +300,7 @@ class Scorer:
         if place.aligned is None:
             self._align(place)
         else:
-            fit = self._map.measured(place.T_map_local, self._query)
-            if (known := self._left(place, fit.T_map_local)) is not None:
-                fit = self._map.measured(known, self._query, still=True)
+            fit = self._map.measured(place.T_map_local, self._query, place.known)
             self._measured.append(fit)
             place.fit, place.T_map_local = fit, fit.T_map_local
             self._count(place)
@@ -312,21 +310,14 @@ class Scorer:
 
     def _align(self, place: Trial, start: Pose | None = None) -> None:
         """Align a place, also from a better start if there is one."""
-        place.aligned = self._map.aligned(place.T_map_local, self._query)
+        place.aligned = self._map.aligned(place.T_map_local, self._query, place.known)
         if start is not None and not np.array_equal(start, place.T_map_local):
-            other = self._map.aligned(start, self._query)
+            other = self._map.aligned(start, self._query, place.known)
             if other.overlap > place.aligned.overlap:
                 place.aligned = other
-        if (known := self._left(place, place.aligned.T_map_local)) is not None:
-            place.aligned = self._map.aligned(known, self._query, still=True)
         place.T_map_local = place.aligned.T_map_local
         self._count(place)
         place.expect(self._model)
-
-    def _left(self, place: Trial, T_map_local: Pose) -> Pose | None:
-        """Return the known pose of a place if alignment has taken it to another place."""
-        known = place.known
-        return known if known is not None and self._separation.apart(known, T_map_local) else None
 
     def _count(self, place: Trial) -> None:
         """Count the inliers of a place."""

@@ -10,6 +10,7 @@ from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .localizer import LiveLocalizer
 from .replay import Replay, play, pose_errors
+from .shell import Shell
 
 __all__ = [
     "LidarOdometry",
@@ -19,6 +20,7 @@ __all__ = [
     "PoseKeeper",
     "QueryRequest",
     "Replay",
+    "Shell",
     "State",
     "Status",
     "TrackerConfig",

@@ -18,8 +18,8 @@ from ..localization import Explained
 from ..localizer import Localizer
 from ..motion import Motion, at_stamp
 from ..system.checks import checked_pose
-from ..tracker import QueryCallback, QueryRequest, Tracker
-from ..tracking.belief import Status, View
+from ..tracker import QueryRequest, Tracker
+from ..tracking.belief import Status
 from ..types import Float64, Pose, Scan
 from .config import LiveConfig
 from .kept_pose import PoseKeeper
@@ -108,6 +108,8 @@ class LiveCore:
         Scans that were late, or without odometry.
     refused, jumps : int
         Unusable scans; jumps of the odometry.
+    skipped, behind_s : int, float
+        Scans that came too fast, and delay of other inputs [s], in a :class:`Shell`.
     """
 
     def __init__(
@@ -127,13 +129,14 @@ class LiveCore:
             given if T_base_sensor is None else T_base_sensor, "T_base_sensor"
         )
         self.tracker = Tracker(localizer, self.config.tracker)
-        self._keeper = keeper
+        self.keeper = keeper
         if keeper is not None:
             keeper.use(localizer.prior_map)
         self._lidar_odometry: LidarOdometry | None = None
         if lidar_odometry:
             self._lidar_odometry = LidarOdometry(self.T_base_sensor, self._local_cloud.attitude)
-        self.scans = self.dropped = self.refused = self.jumps = 0
+        self.scans = self.dropped = self.refused = self.jumps = self.skipped = 0
+        self.behind_s = 0.0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
         self._newest = -math.inf  # stamp of the newest scan received
@@ -213,32 +216,37 @@ class LiveCore:
         request, self._due = self._due, None
         self._open = self._open or request is not None
         T_odom_base = self.state.T_odom_base
-        if request is None or self._keeper is None or T_odom_base is None:
+        if request is None or self.keeper is None or T_odom_base is None:
             return request
-        near = self._keeper.near(request.stamp, T_odom_base, self.T_base_sensor)
+        near = self.keeper.near(request.stamp, T_odom_base, self.T_base_sensor)
         return replace(request, near=near)
 
-    def ask(self, request: QueryRequest, *, callback: QueryCallback | None = None) -> View:
-        """Make a query, as :meth:`segloc.Tracker.ask` does; thread-safe.
+    def ask(self, request: QueryRequest) -> QueryRequest:
+        """Make a query, as :meth:`segloc.tracker.Tracker.ask` does; thread-safe.
 
         Raises
         ------
         SeglocError
             If it cannot be made.
         """
-        return self.tracker.ask(request, self.config.deadline_ms, callback=callback)
+        return self.tracker.ask(request, self.config.deadline_ms)
 
-    def answer(self, request: QueryRequest, view: View | None) -> State:
-        """Apply the result of a query; None if it could not be made."""
+    def answer(self, request: QueryRequest, made: QueryRequest | None) -> State:
+        """Apply a query that was made; None if it could not be."""
         self._open = False
-        if view is not None:
-            self.tracker.take(request, view)
+        if made is not None:
+            self.tracker.take(made)
         return self._report(self.state.stamp, answered=request.stamp)
+
+    def hurry(self) -> None:
+        """Make a query due at the next scan, whatever time and distance."""
+        self._asked_at = -math.inf
 
     def forget(self) -> State:
         """Forget the pose but keep the scans; the next scan triggers a query."""
         self.tracker.forget()
-        self._asked_at, self._due = -math.inf, None
+        self._due = None
+        self.hurry()
         return self._report(self.state.stamp)
 
     def report_lost_motion(self, why: str) -> State:
@@ -347,7 +355,9 @@ class LiveCore:
             if status is Status.LOCALIZED:
                 status = Status.DEGRADED
         if T_odom_base is None:
-            T_odom_base = self.state.T_odom_base if stamp == self.state.stamp else self._last_pose()
+            T_odom_base, newest = self.state.T_odom_base, self._odometry.pose
+            if stamp != self.state.stamp and newest is not None:
+                T_odom_base = newest
         self.state = State(
             stamp,
             status,
@@ -361,14 +371,10 @@ class LiveCore:
             answered,
         )
         T_map_base = self.state.T_map_base
-        if self._keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
+        if self.keeper is not None and status is Status.LOCALIZED and T_map_base is not None:
             assert T_odom_base is not None
-            self._keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
+            self.keeper.keep(stamp, T_map_base, T_odom_base, self.state.covariance)
         return self.state
-
-    def _last_pose(self) -> Pose | None:
-        pose = self._odometry.pose
-        return self.state.T_odom_base if pose is None else pose
 
     def _covariance(self, covariance: Float64 | None) -> Float64 | None:
         """Convert the sensor's covariance to the base's, with a lower bound."""
@@ -461,21 +467,7 @@ class State:
         return self.T_map_odom @ self.T_odom_base
 
     def record(self) -> Mapping[str, Any]:
-        """Return values for JSON."""
-        return {
-            "stamp": self.stamp,
-            "state": self.status.value,
-            "reason": self.reason,
-            "T_map_odom": _nested(self.T_map_odom),
-            "T_map_base": _nested(self.T_map_base),
-            "covariance": _nested(self.covariance),
-            "confidence": self.confidence,
-            "views": self.views,
-            "travelled_m": self.travelled_m,
-            "answered": self.answered,
-            "latency_ms": self.latency_ms,
-        }
-
-
-def _nested(array: Float64 | None) -> list[list[float]] | None:
-    return None if array is None else np.asarray(array).tolist()
+        """Return values for JSON: those of ``RECORD`` that are of the state alone."""
+        record = {name: getattr(self, name, None) for name in tuple(RECORD)[1:-1]}
+        record["state"] = self.status.value
+        return {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in record.items()}

@@ -25,18 +25,7 @@ _MAX_SPEED_MPS = 60.0
 
 @dataclass(frozen=True)
 class KeptPose:
-    """Contents of a pose file.
-
-    Attributes
-    ----------
-    map_id : str
-        Of the map that the pose is in, by :func:`map_id`.
-    stamp : float
-        Seconds.
-    T_map_base, T_odom_base : (4, 4) float64
-    sigma_m : float
-        Standard deviation of the horizontal position along its worst axis [m].
-    """
+    """Contents of a pose file; ``sigma_m`` is of the horizontal position, along its worst axis."""
 
     map_id: str
     stamp: float
@@ -46,13 +35,7 @@ class KeptPose:
 
     @classmethod
     def load(cls, path: Path) -> KeptPose:
-        """Read a pose file.
-
-        Raises
-        ------
-        SeglocError
-            If it cannot be read; names the fault.
-        """
+        """Read a pose file; raise SeglocError, which names the fault, if it cannot be."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             if values["version"] != _VERSION:
@@ -68,22 +51,9 @@ class KeptPose:
             raise SeglocError(f"{path}: not a pose file: {error!r:.80}") from error
 
     def save(self, path: Path) -> None:
-        """Replace a pose file, whole or not at all.
-
-        Raises
-        ------
-        SeglocError
-            If it cannot be written.
-        """
-        values = {
-            "version": _VERSION,
-            "map_id": self.map_id,
-            "stamp": self.stamp,
-            "T_map_base": self.T_map_base.tolist(),
-            "T_odom_base": self.T_odom_base.tolist(),
-            "sigma_m": self.sigma_m,
-        }
-        write_text(path, json.dumps(values, indent=1) + "\n")
+        """Replace a pose file, whole or not at all; raise SeglocError if it cannot be written."""
+        values = {"version": _VERSION, **vars(self)}
+        write_text(path, json.dumps(values, indent=1, default=np.ndarray.tolist) + "\n")
 
     def predicted(self, stamp: float, T_odom_base: Pose) -> Pose:
         """T_map_base at a later pose of the odometry.

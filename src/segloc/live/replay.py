@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import geometry
 from ..localizer import Localizer
@@ -45,7 +44,7 @@ SUMMARY = {
 
 StateCallback = Callable[[int, State], None]
 Progress = Callable[[int, int], None]
-_SHARES = (50, 99)
+_SHARES, _SPREAD = {"p50": 50, "p99": 99}, {"median": 50, "p95": 95}
 
 
 @dataclass(frozen=True)
@@ -292,8 +291,8 @@ def summary(
         "localized_share": round(len(fixes) / max(1, len(kinds)), 4),
         "states": {kind.value: kinds.count(kind) for kind in Status},
         "first_fix_m": round(float(steps[: fixes[0] + 1].sum()), 3) if fixes else None,
-        "latency_ms": _percentiles(replay.latency_ms),
-        "query_ms": _percentiles(replay.query_ms),
+        "latency_ms": _percentiles(replay.latency_ms, _SHARES, 2),
+        "query_ms": _percentiles(replay.query_ms, _SHARES, 2),
         "queries": len(replay.query_ms),
         "false_m": None,
     }
@@ -306,23 +305,16 @@ def summary(
     return facts | {
         "false_m": round(float(steps[false].sum()), 3),
         "false_localized_m": round(float(steps[false & sure].sum()), 3),
-        "translation_error_m": _spread(metres[sure]),
-        "rotation_error_deg": _spread(degrees[sure]),
+        "translation_error_m": _percentiles(metres[sure], _SPREAD, 4),
+        "rotation_error_deg": _percentiles(degrees[sure], _SPREAD, 4),
     }
 
 
-def _percentiles(values: NDArray[np.float64]) -> dict[str, float | None]:
-    return {
-        f"p{share}": round(float(np.percentile(values, share)), 2) if len(values) else None
-        for share in _SHARES
-    }
-
-
-def _spread(values: Float64) -> dict[str, float | None]:
+def _percentiles(
+    values: Float64, shares: Mapping[str, int], digits: int
+) -> dict[str, float | None]:
     values = values[np.isfinite(values)]
-    if not len(values):
-        return {"median": None, "p95": None}
     return {
-        "median": round(float(np.median(values)), 4),
-        "p95": round(float(np.percentile(values, 95)), 4),
+        name: round(float(np.percentile(values, share)), digits) if len(values) else None
+        for name, share in shares.items()
     }

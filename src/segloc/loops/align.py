@@ -21,7 +21,7 @@ from ..config import Config
 from ..errors import ConfigError
 from ..types import Float64, Int64, Scanned, as_recording
 from .config import AlignConfig
-from .consistency import supported
+from .consistency import reject_unsupported
 from .loops import Chain, Loop, edges_of, neighbours
 from .session_graph import SessionGraph
 from .submaps import Progress, Session
@@ -115,7 +115,7 @@ def align_sessions(
         describe_all(own, described, stage)
         with stage("Searching loops") as update:
             found = find_loops(own, chain, update)
-        graph = SessionGraph(chain, supported(chain, found, settings), settings)
+        graph = SessionGraph(chain, reject_unsupported(chain, found, settings), settings)
         graph.optimise()
         for _ in range(settings.dense_rounds):
             with stage("Aligning neighbours") as update:

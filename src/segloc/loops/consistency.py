@@ -19,12 +19,12 @@ from .graph import Edges
 from .loops import Chain, Loop, edges_of
 
 
-def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop]:
+def reject_unsupported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop]:
     """Return the loops; reject those with too few or mostly disagreeing neighbours."""
     candidates = [k for k, loop in enumerate(loops) if loop.accepted]
     if not candidates:
         return loops
-    first, second, agree = _compared(chain, [loops[k] for k in candidates], config)
+    first, second, agree = _compare(chain, [loops[k] for k in candidates], config)
     accepted = np.ones(len(candidates), dtype=bool)
     reasons = [""] * len(candidates)
     while True:  # a rejected loop supports no other
@@ -43,7 +43,7 @@ def supported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop
     return result
 
 
-def _compared(
+def _compare(
     chain: Chain, loops: list[Loop], config: AlignConfig
 ) -> tuple[Int64, Int64, NDArray[np.bool_]]:
     """Return all pairs of loops near each other in travel, both ways, and which agree."""

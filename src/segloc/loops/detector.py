@@ -22,7 +22,7 @@ from ..proposals.proposer import Query
 from ..system.checks import checked_pose
 from ..types import Float64, Pose, Scan
 from .config import AlignConfig
-from .consistency import supported
+from .consistency import reject_unsupported
 from .loops import Chain, Loop, SubmapRegistration, loop_in_part, query_of
 from .submaps import Submap, add_submap
 
@@ -166,7 +166,7 @@ class LoopDetector:
     def _keyframe(self, number: int, T_odom_sensor: Pose) -> _Node:
         T_odom_local = geometry.levelled(T_odom_sensor)
         submap = add_submap(
-            self._grown(T_odom_local),
+            self._grow(T_odom_local),
             self._descriptor,
             T_odom_local,
             number,
@@ -178,7 +178,7 @@ class LoopDetector:
         T_local_sensor = geometry.inverse(T_odom_local) @ T_odom_sensor
         return _Node(number, self._travelled, T_local_sensor, submap)
 
-    def _grown(self, T_odom_local: Pose) -> SegmentMap:
+    def _grow(self, T_odom_local: Pose) -> SegmentMap:
         """Return the map of the last part, or of the next one if that is long enough.
 
         The oldest part is forgotten.
@@ -252,7 +252,7 @@ class LoopDetector:
         placed = [
             replace(loop, target=place[loop.target], source=place[loop.source]) for loop in loops
         ]
-        checked = supported(chain, placed, self.settings)
+        checked = reject_unsupported(chain, placed, self.settings)
         return [
             replace(loop, reason=result.reason) for loop, result in zip(loops, checked, strict=True)
         ]

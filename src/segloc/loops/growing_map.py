@@ -38,7 +38,7 @@ def lay_out(parts: list[SegmentMap], part_m: float) -> SegmentMap:
     """Return thin parts as one map, each at a place and in a session of its own."""
     side, spacing_m = _side(len(parts)), SPACING * part_m
     slots = [(k % side * spacing_m, k // side * spacing_m, 0.0) for k in range(len(parts))]
-    moved = [_moved(part, k, slot) for k, (part, slot) in enumerate(zip(parts, slots, strict=True))]
+    moved = [_place(part, k, slot) for k, (part, slot) in enumerate(zip(parts, slots, strict=True))]
     return concatenated(moved)
 
 
@@ -46,7 +46,7 @@ def _side(count: int) -> int:
     return max(1, math.isqrt(max(count - 1, 0)) + 1)
 
 
-def _moved(part: SegmentMap, k: int, place: tuple[float, float, float]) -> SegmentMap:
+def _place(part: SegmentMap, k: int, place: tuple[float, float, float]) -> SegmentMap:
     columns = part.columns()
     if len(part):
         columns["centroids"] = part.centroids - part.centroids.mean(axis=0) + np.array(place)

@@ -32,7 +32,7 @@ class SessionGraph:
         for c, members in enumerate(self.components):
             numbers[members] = c
         self.component: Int64 = numbers[chain.session]
-        self.start = placed(chain, self.loops, self.components)
+        self.start = place_sessions(chain, self.loops, self.components)
         self.poses = self.start
 
     def optimise(self) -> None:
@@ -99,7 +99,7 @@ def components_of(chain: Chain, loops: list[Loop]) -> list[list[int]]:
     return sorted(members, key=lambda sessions: (-len(sessions), sessions[0]))
 
 
-def placed(chain: Chain, loops: list[Loop], components: list[list[int]]) -> Float64:
+def place_sessions(chain: Chain, loops: list[Loop], components: list[list[int]]) -> Float64:
     """Move each session rigidly into the frame of the first session of its component.
 
     The session with most loops to placed sessions comes next, at the median of the poses that

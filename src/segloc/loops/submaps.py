@@ -82,7 +82,7 @@ class Session:
             raise DatasetError(f"{name}: no scans")
         if poses is None:
             raise DatasetError(f"{name}: alignment needs odometry: a pose for every scan")
-        travelled = geometry.travelled(poses)
+        travelled = geometry.distance_travelled(poses)
         anchors = geometry.stations(travelled, settings.every_m)
         return cls(recording.name, recording.indices, poses, travelled, anchors)
 

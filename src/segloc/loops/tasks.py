@@ -147,13 +147,13 @@ def find_loops(workspace: Workspace, chain: Chain, progress: Progress | None = N
     """
     tasks = [
         (k, chain.parts[k].tolist(), chain.odometry[chain.parts[k]], sources)
-        for k, sources in _searched(workspace, chain).items()
+        for k, sources in _submaps_to_search(workspace, chain).items()
     ]
     found = workspace.all_of(_loops, tasks, progress)
     return best_per_pair([loop for loops in found for loop in loops])
 
 
-def _searched(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
+def _submaps_to_search(workspace: Workspace, chain: Chain) -> dict[int, list[int]]:
     """Return the submaps to localize in each part."""
     settings = workspace.settings
     found: dict[int, list[int]] = {k: [] for k in range(len(chain.parts))}
@@ -212,11 +212,11 @@ def tie(
 ) -> list[Loop]:
     """Align pairs of submaps; skip those where ICP fails."""
     tasks = [pairs[k : k + _PAIRS] for k in range(0, len(pairs), _PAIRS)]
-    found = workspace.all_of(_tied, tasks, progress)
+    found = workspace.all_of(_tie, tasks, progress)
     return [loop for loops in found for loop in loops]
 
 
-def _tied(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
+def _tie(workspace: Workspace, pairs: Sequence[Pair]) -> list[Loop]:
     register = workspace.registration()
     loops = [register.loop(*pair, "dense") for pair in pairs]
     return [loop for loop in loops if loop is not None]

@@ -20,7 +20,7 @@ from ..tiles import TiledMap, localizer_in
 from ..types import Float64, Int64, Recording, Scanned, as_recording
 from .align import silent, spread
 from .config import AlignConfig
-from .consistency import supported
+from .consistency import reject_unsupported
 from .loops import Chain, Loop
 from .session_graph import SessionGraph
 from .submaps import Progress, Reader, Session
@@ -102,7 +102,7 @@ def align_to_map(
         recording = as_recording(given)
         session = _session(k, recording, settings)
         with stage(f"Localizing session {k + 1} of {len(recordings)}") as update:
-            loops = _localized(recording, session, localizer, settings, update)
+            loops = _localize(recording, session, localizer, settings, update)
         _append(found, k, session, loops, settings)
     return found
 
@@ -116,7 +116,7 @@ def _session(k: int, recording: Recording, settings: AlignConfig) -> Session:
     return session
 
 
-def _localized(
+def _localize(
     recording: Recording,
     session: Session,
     localizer: Localizer,
@@ -170,7 +170,7 @@ def _append(
         If too few anchors agree.
     """
     chain = _chain(session)
-    graph = SessionGraph(chain, supported(chain, loops, settings), settings)
+    graph = SessionGraph(chain, reject_unsupported(chain, loops, settings), settings)
     graph.optimise()
     accepted = [loop for loop in graph.loops if loop.accepted]
     needed = min(settings.min_support + 1, len(session.anchors))

@@ -19,7 +19,7 @@ from ..errors import ConfigError, DatasetError
 from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
 from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
-from ..frontend.tilt import Tilt, frame_tilt, levelled
+from ..frontend.tilt import Tilt, frame_tilt, level_recording
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Pose, Recording, Scanned, as_recording, stamp_at
@@ -69,9 +69,9 @@ def build_map(
         If ``config`` is of another type.
     """
     config = checked_build_config(config)
-    sequence, frame = _framed(as_recording(scans, poses), config)
+    sequence, frame = _frame(as_recording(scans, poses), config)
     path = _poses(sequence)
-    config = adapted_to_view(config, [sequence]) if adapt else config
+    config = adapt_to_view(config, [sequence]) if adapt else config
     descriptor = create(config.method, config.threads, config.weights)
     prior_map = empty_map(descriptor, config, path[0, :3, 3])
     for view in map_views(sequence, config, every_m=every_m, progress=progress):
@@ -95,7 +95,7 @@ NARROW_SEGMENTATION = SegmentationConfig(
 finer and views closer together."""
 
 
-def adapted_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> BuildConfig:
+def adapt_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> BuildConfig:
     """Choose views and segmentation for sensors with a narrow field of view.
 
     The configuration is changed only if all recordings are of narrow sensors (less than
@@ -118,12 +118,12 @@ def _nothing(sequence: Recording, config: BuildConfig) -> str:
     return f"{found}: {why}" if why else f"{found}, {len(middle)} points in the middle one"
 
 
-def _framed(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
+def _frame(sequence: Recording, config: BuildConfig) -> tuple[Recording, dict[str, str]]:
     """Return the recording in the map's frame, and metadata of that frame."""
     _poses(sequence)
     tilt = frame_tilt(sequence, config.local_cloud)
     if config.mapping.level:
-        turned, T_map_odom = levelled(sequence, tilt)
+        turned, T_map_odom = level_recording(sequence, tilt)
         angle = math.degrees(geometry.rotation_angle(T_map_odom))
         text = f"turned by {angle:.1f} degrees about its first pose, so that z is up"
         return turned, {"frame": text, "T_map_odom": json.dumps(T_map_odom.tolist())}
@@ -221,7 +221,7 @@ def _poses(sequence: Recording) -> Float64:
 
 def _plan(poses: np.ndarray, config: BuildConfig, every_m: float | None) -> list[tuple[int, range]]:
     """Return the views of a map (index of the reference scan, range of scans)."""
-    travelled = geometry.travelled(poses)
+    travelled = geometry.distance_travelled(poses)
     plan: list[tuple[int, range]] = []
     for view in config.mapping.views:
         for index in geometry.stations(travelled, every_m or view.every_m):
@@ -276,19 +276,19 @@ def build_merged_map(
     if not recordings:
         raise ConfigError("no recordings to map")
     with folder_in(folder if executor else None, ".segloc-parts-") as parts:
-        config = adapted_to_view(config, recordings)
+        config = adapt_to_view(config, recordings)
         own = config.model_copy(update={"threads": 1}) if executor else config
-        mapped = partial(_mapped, own, every_m, None if executor else views)
+        mapped = partial(_map_one, own, every_m, None if executor else views)
         tasks = [
             (recording, parts / f"{k}.segmap" if executor else None)
             for k, recording in enumerate(recordings)
         ]
         found = all_of(mapped, tasks, executor, progress)
         maps = [m if isinstance(m, SegmentMap) else SegmentMap.load(m) for m in found]
-    return maps[0] if len(maps) == 1 else compacted(_merged(maps), config.mapping.compact)
+    return maps[0] if len(maps) == 1 else compacted(_merge(maps), config.mapping.compact)
 
 
-def _mapped(
+def _map_one(
     config: BuildConfig,
     every_m: float | None,
     views: Progress | None,
@@ -303,9 +303,9 @@ def _mapped(
     return out
 
 
-def _merged(maps: Sequence[SegmentMap]) -> SegmentMap:
+def _merge(maps: Sequence[SegmentMap]) -> SegmentMap:
     """Merge pairwise in halves; one by one, each merge would cost as much as all before."""
     if len(maps) == 1:
         return maps[0]
     half = (len(maps) + 1) // 2
-    return _merged(maps[:half]).merge(_merged(maps[half:]))
+    return _merge(maps[:half]).merge(_merge(maps[half:]))

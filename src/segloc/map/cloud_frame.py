@@ -226,9 +226,9 @@ def cloud_frame(views: Sequence[Float32], eyes: Float64, attitude: AttitudeConfi
         x, y = measure.direction("x"), measure.direction("y")
         for each, third in ((x, y), (y, x)):
             if each.is_rather_up(z, third):
-                return _turned(each)
+                return _turn(each)
     if z.balance < -_SURE and z.share > _MIN_SHARE:
-        return _turned(z)
+        return _turn(z)
     return CloudFrame(z.tilt, "", None if z.tilt is None else level_transform(z.tilt, np.eye(4)))
 
 
@@ -271,7 +271,7 @@ class _Measure:
         return across / max(flat, 1), (above - below) / max(above + below, 1)
 
 
-def _turned(found: _Direction) -> CloudFrame:
+def _turn(found: _Direction) -> CloudFrame:
     """Return the frame of a cloud with another direction up than +z."""
     if abs(found.balance) < _TELLING:
         ways = " or ".join(_TURNS[side + found.axis][1].partition(": ")[2] for side in "+-")

@@ -188,7 +188,7 @@ class Coded(Stored):
         columns = prod(recipe.shape[1:])
         if not len(recipe.low) == len(recipe.exponents) == columns:
             raise CodingError("coded with another width")
-        self.codes = unpacked(data, recipe.shape[0], columns, recipe.width)
+        self.codes = unpack_codes(data, recipe.shape[0], columns, recipe.width)
         self._recipe, self._dtype = recipe, np.dtype(dtype)
         unpack = partial(_numbers, self.codes, recipe, self._dtype)
         super().__init__(recipe.shape[0], self.codes.nbytes, unpack)
@@ -222,7 +222,7 @@ def stored_array(
         return Stored(rows, len(raw), partial(_from_octree, raw, recipe, origin, cloud_voxel))
     if isinstance(recipe, PaletteRecipe):
         values, index = _palette_of(raw, recipe)
-        return Stored(rows, values.nbytes + index.nbytes, partial(_selected, values, index))
+        return Stored(rows, values.nbytes + index.nbytes, partial(_select, values, index))
     return Coded(raw, recipe, dtype)
 
 
@@ -241,7 +241,7 @@ def _lattice(array: Array) -> tuple[bytes, LatticeRecipe] | None:
     recipe = LatticeRecipe(shape=array.shape, width=width, exponents=exponents, low=low)
     # Numbers as fine as their dtype were never rounded.
     fits = width < array.itemsize or array.dtype.kind == "i"
-    return (packed(codes - low, width), recipe) if fits else None
+    return (pack_codes(codes - low, width), recipe) if fits else None
 
 
 def _numbers(codes: NDArray[Any], recipe: LatticeRecipe, dtype: np.dtype[Any]) -> Array:
@@ -262,10 +262,10 @@ def _palette(array: Array) -> tuple[bytes, PaletteRecipe]:
     codes = rows.reshape(-1, 1).astype(np.int64)
     width = width_of(codes)
     recipe = PaletteRecipe(shape=array.shape, width=width, values=len(values))
-    return values.astype("<f8").tobytes() + packed(codes, width), recipe
+    return values.astype("<f8").tobytes() + pack_codes(codes, width), recipe
 
 
-def _selected(values: Array, rows: Array) -> Array:
+def _select(values: Array, rows: Array) -> Array:
     return values[rows]
 
 
@@ -274,7 +274,7 @@ def _palette_of(data: bytes, recipe: PaletteRecipe) -> tuple[Float64, NDArray[An
     if len(data) < size:
         raise CodingError("cut off")
     values = np.frombuffer(data[:size], "<f8")
-    rows = unpacked(data[size:], recipe.shape[0], 1, recipe.width)[:, 0]
+    rows = unpack_codes(data[size:], recipe.shape[0], 1, recipe.width)[:, 0]
     if rows.max(initial=0) >= max(recipe.values, 1) or (len(rows) and not len(values)):
         raise CodingError("palette index out of range")
     return values, rows
@@ -295,7 +295,7 @@ def _octree(points: Float32, origin: Float64, voxel: float) -> tuple[bytes, Octr
     recipe = OctreeRecipe(
         shape=points.shape, levels=levels, nodes=len(codes), bits=bits, low=low.astype(np.int64)
     )
-    data = deflated(codes.tobytes() + _as_bits(parts.astype(np.uint8), bits))
+    data = deflate(codes.tobytes() + _as_bits(parts.astype(np.uint8), bits))
     try:
         same = np.array_equal(_from_octree(data, recipe, origin, voxel), points)
     except CodingError:  # two points in one voxel
@@ -315,7 +315,7 @@ def _lies_on(points: Float32, origin: Float64, voxel: float, bits: int) -> bool:
 
 def _from_octree(data: bytes, recipe: OctreeRecipe, origin: Float64, voxel: float) -> Float32:
     count, bits = recipe.shape[0], recipe.bits
-    flat = np.frombuffer(inflated(data, recipe.nodes + (3 * count * bits + 7) // 8), np.uint8)
+    flat = np.frombuffer(inflate(data, recipe.nodes + (3 * count * bits + 7) // 8), np.uint8)
     low = np.array(recipe.low, np.int64)
     try:
         codes, parts = flat[: recipe.nodes], flat[recipe.nodes :]
@@ -340,32 +340,32 @@ def width_of(codes: Int64) -> int:
     return next(width for width in WIDTHS if most < 1 << (8 * width - (width == 8)))
 
 
-def packed(codes: Int64, width: int) -> bytes:
+def pack_codes(codes: Int64, width: int) -> bytes:
     """Pack (P, C) numbers of ``width`` bytes."""
     numbers = codes.astype(f"<u{width}")
     steps = np.diff(numbers, axis=0, prepend=numbers.dtype.type(0)).view(f"<i{width}")
     bits = 8 * width - 1
     zigzag = ((steps << 1) ^ (steps >> bits)).view(numbers.dtype)  # small for either sign
     planes = zigzag.reshape(-1, 1).view(np.uint8).T
-    return deflated(planes.tobytes())
+    return deflate(planes.tobytes())
 
 
-def unpacked(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
-    """Unpack the (rows, columns) unsigned numbers of :func:`packed`.
+def unpack_codes(data: bytes, rows: int, columns: int, width: int) -> NDArray[Any]:
+    """Unpack the (rows, columns) unsigned numbers of :func:`pack_codes`.
 
     Raises
     ------
     CodingError
         If the data have another size.
     """
-    planes = np.frombuffer(inflated(data, rows * columns * width), np.uint8)
+    planes = np.frombuffer(inflate(data, rows * columns * width), np.uint8)
     zigzag = planes.reshape(width, -1).T.copy().view(f"<u{width}").reshape(rows, columns)
     one = zigzag.dtype.type(1)
     steps = (zigzag >> one) ^ (np.zeros_like(one) - (zigzag & one))
     return np.cumsum(steps, axis=0, dtype=zigzag.dtype)
 
 
-def deflated(data: bytes) -> bytes:
+def deflate(data: bytes) -> bytes:
     """Deflate bytes in the shorter of two ways."""
     ways = []
     for strategy in (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FILTERED):
@@ -374,7 +374,7 @@ def deflated(data: bytes) -> bytes:
     return min(ways, key=len)
 
 
-def inflated(data: bytes, size: int) -> bytes:
+def inflate(data: bytes, size: int) -> bytes:
     """Inflate to ``size`` bytes, never more.
 
     Raises
@@ -420,7 +420,7 @@ def spread_exponents(columns: NDArray[Any], levels: int) -> Int64:
     return np.where(natural >= exponents - 1, natural, exponents)
 
 
-def rounded(columns: NDArray[Any], exponents: Int64) -> Float64:
+def round_to_lattice(columns: NDArray[Any], exponents: Int64) -> Float64:
     """Round (P, C) numbers to the lattice of their column."""
     steps = np.ldexp(1.0, exponents)
     nearest: Float64 = np.round(columns.astype(np.float64) / steps) * steps + 0.0  # no -0.0

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ..system.section import Section
 from ..types import Float64, Int64
-from .coding import cells_and_parts, lattice_points, rounded, spread_exponents
+from .coding import cells_and_parts, lattice_points, round_to_lattice, spread_exponents
 from .segment_map import SegmentMap, replaced
 
 CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
@@ -56,15 +56,15 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     """
     if not config.enabled:
         return prior_map
-    placed = _placed(prior_map, config)
+    placed = _on_lattices(prior_map, config)
     kept = placed.kept(best_views(placed, config), _near_path(placed, config))
     segments = {name: array[_along_curve(kept)] for name, array in kept.columns().items()}
     exponents = spread_exponents(segments["vectors"], 1 << config.bits)
-    segments["vectors"] = rounded(segments["vectors"], exponents).astype(np.float32)
+    segments["vectors"] = round_to_lattice(segments["vectors"], exponents).astype(np.float32)
     return replaced(kept, segments=segments)
 
 
-def _placed(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
+def _on_lattices(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     """Return the map with all but its vectors on lattices, on which the selection depends."""
     segments = prior_map.columns()
     segments["centroids"] = _to_step(segments["centroids"], CENTROID_EXPONENT)
@@ -134,7 +134,7 @@ def _along_curve(prior_map: SegmentMap) -> Int64:
 
 def _to_step(numbers: NDArray[Any], exponent: int) -> Float64:
     rows = numbers.reshape(len(numbers), prod(numbers.shape[1:]))
-    return rounded(rows, np.full(rows.shape[1], exponent)).reshape(numbers.shape)
+    return round_to_lattice(rows, np.full(rows.shape[1], exponent)).reshape(numbers.shape)
 
 
 def _to_digits(sizes: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -94,7 +94,7 @@ def checked_build_config(config: BuildConfig | None) -> BuildConfig:
         If it is of another type.
     """
     if config is None:
-        return BuildConfig.model_validate(_known(dict(preset(DEFAULT_METHOD)), BuildConfig))
+        return BuildConfig.model_validate(_known_keys(dict(preset(DEFAULT_METHOD)), BuildConfig))
     if not isinstance(config, BuildConfig):
         raise ConfigError(
             f"config must be a segloc.Config, not {type(config).__name__}; pass poses as poses=..."
@@ -116,11 +116,11 @@ def stored_config(prior_map: SegmentMap, model: type[BuildConfigT]) -> BuildConf
     model : type
         :class:`BuildConfig` or a subclass.
     """
-    parsed: BuildConfigT | None = _parsed(stored_text(prior_map), prior_map.descriptor, model)
+    parsed: BuildConfigT | None = _parse(stored_text(prior_map), prior_map.descriptor, model)
     if parsed is not None:
         return parsed
     values = {"method": prior_map.descriptor, **preset(prior_map.descriptor)}
-    return model.model_validate(_known(values, model))
+    return model.model_validate(_known_keys(values, model))
 
 
 def stored_text(prior_map: SegmentMap) -> str:
@@ -129,18 +129,18 @@ def stored_text(prior_map: SegmentMap) -> str:
 
 
 @lru_cache(maxsize=8)  # tiles of a map share one text, and YAML is slow to parse
-def _parsed(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT | None:
+def _parse(text: str, method: str, model: type[BuildConfigT]) -> BuildConfigT | None:
     if len(text) > _MAX_CHARACTERS:  # map files are untrusted
         return None
     try:
         values = parse_yaml(text, "the map") or {}
-        stored = model.model_validate(_known({**values, "threads": 0}, model))
+        stored = model.model_validate(_known_keys({**values, "threads": 0}, model))
     except (ConfigError, ValueError, TypeError, AttributeError, ArithmeticError):
         return None
-    return unmounted(stored) if stored.method == method else None
+    return without_mount(stored) if stored.method == method else None
 
 
-def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+def _known_keys(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
     """Return the values of keys that this version knows, in sections too."""
     known = {}
     for key, value in values.items():
@@ -148,12 +148,12 @@ def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
             continue
         kind = field.annotation
         if isinstance(value, Mapping) and isinstance(kind, type) and issubclass(kind, BaseModel):
-            value = _known(value, kind)
+            value = _known_keys(value, kind)
         known[key] = value
     return known
 
 
-def unmounted(config: BuildConfigT) -> BuildConfigT:
+def without_mount(config: BuildConfigT) -> BuildConfigT:
     """Return the configuration without the sensor's mount, which belongs to the robot."""
     local_cloud = config.local_cloud.model_copy(update={"mount": MountConfig()})
     return config.model_copy(update={"local_cloud": local_cloud})

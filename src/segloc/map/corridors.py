@@ -76,7 +76,7 @@ class _Grid:
         middle &= (clearance >= _MIN_CLEARANCE_M) & (clearance < NEAR_M)
         return np.argwhere(middle)
 
-    def seen(self, cells: Int64) -> Int64:
+    def visible_patches(self, cells: Int64) -> Int64:
         """Return the patches that are seen in each direction from cells, (M, D); -1 of none."""
         angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
         seen = np.full((len(cells), _DIRECTIONS), -1, np.int64)
@@ -117,7 +117,7 @@ def between_surfaces(columns: Sequence[Float32], sensor_height_m: float) -> Floa
     """
     grid = _Grid.of(columns, sensor_height_m)
     cells = grid.middles()
-    chosen = _covering(grid.seen(cells))
+    chosen = _covering(grid.visible_patches(cells))
     return grid.places(cells[chosen]) + [0.0, 0.0, sensor_height_m]
 
 

@@ -205,12 +205,12 @@ def _read_checked(path: str | Path, file: TensorFile) -> Contents:
     arrays: dict[str, Array] = {}
     for name in shapes:
         digest = hashlib.blake2b(digest_size=16)
-        arrays[name] = file.read(name, partial(_hashed, digest))
+        arrays[name] = file.read(name, partial(_hash, digest))
         if texts.get(f"{_CHECKSUM}.{name}") != digest.hexdigest():
             raise MapFormatError(f"{path}: damaged: {name} does not match its checksum")
     contents = _contents(path, arrays, texts)
     if recipes:
-        contents = _unpacked(path, contents, recipes)
+        contents = _unpack(path, contents, recipes)
     if fault := contents.fault():
         raise MapFormatError(f"{path}: damaged: {fault}")
     return contents
@@ -235,7 +235,7 @@ def _recipes(
     return recipes
 
 
-def _unpacked(path: str | Path, contents: Contents, recipes: Recipes) -> Contents:
+def _unpack(path: str | Path, contents: Contents, recipes: Recipes) -> Contents:
     arrays, voxel = dict(contents.arrays), contents.cloud_voxel
     if fault := voxel_fault(voxel) or column_fault("origin", arrays["origin"]):
         raise MapFormatError(f"{path}: damaged: {fault}")
@@ -252,7 +252,7 @@ def _unpacked(path: str | Path, contents: Contents, recipes: Recipes) -> Content
     return replace(contents, arrays=arrays, stored=stored)
 
 
-def _hashed(digest: hashlib.blake2b, part: Array) -> None:
+def _hash(digest: hashlib.blake2b, part: Array) -> None:
     digest.update(part.data)
 
 

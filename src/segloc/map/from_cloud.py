@@ -21,7 +21,7 @@ from ..errors import DatasetError
 from ..frontend.gravity import AttitudeConfig
 from ..frontend.segmentation import Segmenter, heights_above_ground
 from ..system.checks import MAX_LOCAL_METRES, checked_poses, point_rows
-from ..system.text import counted
+from ..system.text import quantity
 from ..types import Bools, Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
 from .cloud_frame import (
@@ -184,7 +184,7 @@ class ThinCloud:
             If they are something else.
         """
         cloud = cls()
-        for part in _listed(points):
+        for part in _as_parts(points):
             cloud.add(part)
         cloud.thin()
         if not len(cloud):
@@ -192,7 +192,7 @@ class ThinCloud:
             raise DatasetError(f"the cloud has no points{why and f': {why}'}")
         return cloud
 
-    def moved(self, T: Pose) -> ThinCloud:
+    def transform(self, T: Pose) -> ThinCloud:
         """Return the cloud in another frame."""
         parts = (geometry.transform(T, column + self.origin) for column in self.columns())
         return ThinCloud.of(parts)
@@ -224,7 +224,7 @@ class ThinCloud:
         near = np.einsum("ij,ij->i", offsets, offsets) < radius * radius
         return points.take(np.flatnonzero(near), axis=0)
 
-    def seen_from(self, eye: Float64, radius: float) -> Seen:
+    def view_from(self, eye: Float64, radius: float) -> Seen:
         """A viewpoint, with what is visible from there."""
         points = self.near(eye, radius)
         return eye, points[self.sight(eye, radius).sees(points)]
@@ -265,7 +265,7 @@ class ThinCloud:
         return self._occluders[key]
 
 
-def _listed(points: Points | Iterable[Points]) -> Iterable[Points]:
+def _as_parts(points: Points | Iterable[Points]) -> Iterable[Points]:
     """Return the parts of a cloud, or the only one."""
     given: Any = points  # ``point_rows`` tells what may be points
     parts = isinstance(given, Iterable) and not hasattr(given, "__array__")
@@ -328,18 +328,18 @@ def build_from_cloud(
         metadata[GROUND] = NO_GROUND
     builder, radius = _Builder(cloud, config, metadata), config.local_cloud.radius_m
     if trajectory is not None:
-        poses = T_map_cloud @ _checked(trajectory)
+        poses = T_map_cloud @ _check_trajectory(trajectory)
         path = np.asarray(poses[:, :3, 3] - cloud.origin)
         builder.add_views(_from_path(cloud, path, radius, progress))
-        return builder.finished(poses)
+        return builder.finish(poses)
     if share >= _MIN_GROUND:
         builder.add_views(_from_ground(cloud, ground, sensor_height, radius, progress))
         if builder.poses:
-            return builder.finished(np.array(builder.poses))
+            return builder.finish(np.array(builder.poses))
     places = between_surfaces(columns, sensor_height)
     note(_no_ground(share, len(places)))
     builder.add_views(_from_places(cloud, places, radius, progress))
-    found = builder.finished(np.array(builder.poses).reshape(-1, 4, 4))
+    found = builder.finish(np.array(builder.poses).reshape(-1, 4, 4))
     found.metadata[VIEWPOINTS] = BETWEEN
     return found
 
@@ -347,7 +347,7 @@ def build_from_cloud(
 def _no_ground(share: float, count: int) -> str:
     """Describe how many viewpoints of which kind there are without ground, and the remedy."""
     return (
-        f"no ground: {share:.1%} of the area is free ground; {counted(count, 'viewpoints')} lie "
+        f"no ground: {share:.1%} of the area is free ground; {quantity(count, 'viewpoints')} lie "
         "between walls and what else stands. --trajectory with the poses that the cloud was "
         "measured from finds more"
     )
@@ -360,7 +360,7 @@ def _silent(_: str) -> None:
 def _parts(points: Points | Iterable[Points], check: bool) -> Iterator[Points]:
     """Check unit and steps of the first part before the others are read."""
     checked = not check
-    for part in _listed(points):
+    for part in _as_parts(points):
         if not checked:
             known = point_rows(part, "cloud")[:, :3]
             known = known[np.isfinite(known).all(axis=1) & known.any(axis=1)]
@@ -413,7 +413,7 @@ def _in_map_frame(
     text = f"turned by {degrees:.1f} degrees, so that z is up"
     note(f"the cloud is {text}")
     kept = {"frame": text, CLOUD_FRAME: json.dumps(T_map_cloud.tolist())}
-    return cloud.moved(T_map_cloud), T_map_cloud, kept
+    return cloud.transform(T_map_cloud), T_map_cloud, kept
 
 
 class _Builder:
@@ -443,7 +443,7 @@ class _Builder:
             add_view(self._map, view, described, with_cloud=False)
             self.poses.append(pose)
 
-    def finished(self, trajectory: Float64) -> SegmentMap:
+    def finish(self, trajectory: Float64) -> SegmentMap:
         """The map with the surfaces of the whole cloud.
 
         Raises
@@ -466,7 +466,7 @@ class _Builder:
         return compacted(built, config.mapping.compact)
 
 
-def _checked(trajectory: ArrayLike) -> Float64:
+def _check_trajectory(trajectory: ArrayLike) -> Float64:
     """Return the poses of a trajectory, (V, 4, 4)."""
     given = np.asarray(trajectory)
     poses = checked_poses(given, len(given) if given.ndim else 0, "trajectory")
@@ -488,7 +488,7 @@ def _from_places(
 ) -> Iterator[Seen]:
     """Viewpoints at known places."""
     for done, eye in enumerate(places):
-        yield cloud.seen_from(eye, radius)
+        yield cloud.view_from(eye, radius)
         if progress:
             progress(done + 1, len(places))
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .. import _native, geometry
 from ..errors import ConfigError, DatasetError, InvalidScan
 from ..system.checks import MAX_LOCAL_METRES
-from ..system.text import counted
+from ..system.text import quantity
 from ..types import Float32, Float64, Int64, Scan
 from .build import build_merged_map
 from .config import BuildConfig, checked_build_config
@@ -142,7 +142,7 @@ def build_from_mesh(
     if not floors:
         raise DatasetError(
             f"no floor with {sensor_height:g} m of room above it and walls around it in "
-            f"{counted(len(local), 'triangles')}: is the unit right, and which axis points up?"
+            f"{quantity(len(local), 'triangles')}: is the unit right, and which axis points up?"
         )
     drives = [
         _drive(mesh, parts, origin, f"storey {k}", config)
@@ -150,8 +150,8 @@ def build_from_mesh(
     ]
     area, count = sum(floor.area_m2 for floor in floors), sum(map(len, drives))
     tell(
-        f"{area:.0f} m2 of free floor in {counted(len(drives), 'storeys')}; scans are cast from "
-        f"{counted(count, 'viewpoints')}"
+        f"{area:.0f} m2 of free floor in {quantity(len(drives), 'storeys')}; scans are cast from "
+        f"{quantity(count, 'viewpoints')}"
     )
     built = build_merged_map(drives, config, views=progress)
     built.metadata |= {SOURCE: PLAN, TOLERANCE: f"{tolerance:g}"}
@@ -182,7 +182,7 @@ def _checked(triangles: ArrayLike, tell: Note) -> tuple[Float32, Float64]:
         )
     finite = np.isfinite(given).all(axis=(1, 2))
     if dropped := int((~finite).sum()):
-        tell(f"{counted(dropped, 'triangles')} left out: corners are not finite")
+        tell(f"{quantity(dropped, 'triangles')} left out: corners are not finite")
     usable = given[finite].astype(np.float64)
     if not len(usable):
         raise DatasetError("the plan has no triangles")

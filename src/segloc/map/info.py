@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..system.text import counted
+from ..system.text import quantity
 from .georeference import Georeference
 
 SOURCE, CLOUD, PLAN = "source", "cloud", "plan"
@@ -70,7 +70,7 @@ class MapInfo(dict[str, Any]):
     def _poses_rows(self) -> list[tuple[str, str]]:
         """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""
         chosen = self["viewpoints"]
-        driven, sessions = self["poses"] - chosen, counted(self["sessions"], "sessions")
+        driven, sessions = self["poses"] - chosen, quantity(self["sessions"], "sessions")
         rows = [("poses", f"{driven} in {sessions}")] if driven or not chosen else []
         if chosen:
             kind = self["metadata"].get(VIEWPOINTS, "")

@@ -36,7 +36,7 @@ def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) ->
     names = sorted(mine.keys() - {"session", "missed"})
     my_row, their_row = (_rows([part[name] for name in names]) for part in (mine, theirs))
     twin = _twins(my_row, their_row)
-    theirs = {**theirs, "session": _renumbered(mine, theirs, twin)}
+    theirs = {**theirs, "session": _renumber(mine, theirs, twin)}
     missed = mine["missed"].copy()
     np.maximum.at(missed, twin[twin >= 0], theirs["missed"][twin >= 0])
     mine = {**mine, "missed": missed}
@@ -53,8 +53,8 @@ def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
     """Return both clouds on the coarser grid, relative to the smaller of the two origins."""
     origin: Float64 = min(mine.origin, theirs.origin, key=lambda array: tuple(array.tolist()))
     voxel = max(mine.voxel, theirs.voxel)
-    union = mine.moved_to(origin, voxel)
-    union.add_relative(theirs.moved_to(origin, voxel).points)
+    union = mine.move_to(origin, voxel)
+    union.add_relative(theirs.move_to(origin, voxel).points)
     return union
 
 
@@ -86,7 +86,7 @@ def _twins(mine: list[Key], theirs: list[Key]) -> Int64:
     return np.array([index.get(key, -1) for key in theirs], dtype=np.int64)
 
 
-def _renumbered(mine: Mapping[str, Array], theirs: Mapping[str, Array], twin: Int64) -> Array:
+def _renumber(mine: Mapping[str, Array], theirs: Mapping[str, Array], twin: Int64) -> Array:
     numbers = theirs["session"]
     free = _free_numbers(mine["session"])
     renumbered = np.empty_like(numbers)

@@ -112,7 +112,7 @@ class SegmentMap:
         """Return an empty map."""
         if dim < 1:
             raise SeglocError(f"dim must be positive, not {dim}")
-        where = _checked(origin, "origin", (3,), np.float64)
+        where = _check(origin, "origin", (3,), np.float64)
         if fault := voxel_fault(cloud_voxel) or column_fault("origin", where):
             raise SeglocError(fault)
         cloud = VoxelCloud(np.empty((0, 3), np.float32), where, float(cloud_voxel))
@@ -255,7 +255,7 @@ class SegmentMap:
         return first if isinstance(first, Coded) and not others else None
 
     def _column(self, name: str) -> Array:
-        return _joined(self._columns[name])
+        return _join(self._columns[name])
 
     def columns(self) -> dict[str, Array]:
         """All columns, by the names of ``SEGMENT_DTYPES``."""
@@ -282,7 +282,7 @@ class SegmentMap:
     @property
     def trajectory(self) -> Float64:
         """Poses T_map_sensor of the recording, (V, 4, 4) float64."""
-        return _joined(self._trajectory)
+        return _join(self._trajectory)
 
     @property
     def sensor_positions(self) -> Float64:
@@ -399,7 +399,7 @@ class SegmentMap:
             "missed": np.zeros(count, np.int32),
         }
         columns = {
-            name: _checked(value, name, _row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
+            name: _check(value, name, _row_shape(name, count, self.dim), SEGMENT_DTYPES[name])
             for name, value in values.items()
             if value is not None
         }
@@ -471,7 +471,7 @@ class SegmentMap:
 
     def crop(self, center_xy: ArrayLike, radius: float) -> SegmentMap:
         """Return a new map of the contents within a horizontal distance of a point [m]."""
-        center = _checked(center_xy, "center_xy", (2,), np.float64)
+        center = _check(center_xy, "center_xy", (2,), np.float64)
         if not radius >= 0:
             raise SeglocError(f"radius must be at least 0, not {radius}")
 
@@ -506,7 +506,7 @@ class SegmentMap:
         """
         segments = self.columns()
         if missed is not None:
-            segments["missed"] = _checked(missed, "missed", (len(self),), np.int32)
+            segments["missed"] = _check(missed, "missed", (len(self),), np.int32)
         stay, points = np.asarray(rows, dtype=bool), np.asarray(points, dtype=bool)
         if stay.shape != (len(self),) or points.shape != (len(self._cloud),):
             raise SeglocError(f"masks of shapes {stay.shape} and {points.shape} do not match")
@@ -572,7 +572,7 @@ class SegmentMap:
         )
 
 
-def _joined(parts: list[Part]) -> Array:
+def _join(parts: list[Part]) -> Array:
     """Join the parts into one array, which replaces them in the list if there are several."""
     arrays = [array_of(part) for part in parts]
     if len(arrays) > 1:
@@ -585,7 +585,7 @@ def _row_shape(name: str, count: int, dim: int) -> tuple[int, ...]:
     return {"vectors": (count, dim), "centroids": (count, 3)}.get(name, (count,))
 
 
-def _checked(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
+def _check(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> Array:
     """Return a copy of ``values`` in that dtype.
 
     Raises
@@ -608,7 +608,7 @@ def replaced(
     prior_map: SegmentMap,
     *,
     segments: Mapping[str, Array] | None = None,
-    points: Float32 | None = None,
+    points: Float32 | Stored | None = None,
     trajectory: Float64 | None = None,
 ) -> SegmentMap:
     """Return the map with other columns, points of the cloud or poses, and the rest as it is."""
@@ -677,6 +677,6 @@ def _clouds(parts: list[SegmentMap], apart: bool) -> VoxelCloud:
         return VoxelCloud(points, first.origin, first.cloud_voxel)
     cloud = VoxelCloud(first.cloud, first.origin, first.cloud_voxel)
     for part in parts[1:]:
-        moved = part.voxel_cloud.moved_to(first.origin, first.cloud_voxel)
+        moved = part.voxel_cloud.move_to(first.origin, first.cloud_voxel)
         cloud.add_relative(moved.points)
     return cloud

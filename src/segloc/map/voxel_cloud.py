@@ -82,7 +82,7 @@ class VoxelCloud:
         self._consolidate()
         return self._thinned.nbytes
 
-    def moved_to(self, origin: Float64, voxel: float) -> VoxelCloud:
+    def move_to(self, origin: Float64, voxel: float) -> VoxelCloud:
         """Return the points relative to another origin, on another grid."""
         if voxel == self.voxel and np.array_equal(origin, self.origin):
             return VoxelCloud(self.points, origin, voxel)
@@ -135,17 +135,17 @@ def _slabs(points: Float32, origin: Float64, voxel: float) -> Iterator[Float32]:
     ends = np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float64)
     if np.diff(np.floor((ends + origin) / voxel), axis=0).max() >= MAX_VOXELS:
         raise _too_wide()
-    yield from _parted(points, np.floor((points[:, 0].astype(np.float64) + origin[0]) / voxel))
+    yield from _split(points, np.floor((points[:, 0].astype(np.float64) + origin[0]) / voxel))
 
 
-def _parted(points: Float32, columns: Float64) -> Iterator[Float32]:
+def _split(points: Float32, columns: Float64) -> Iterator[Float32]:
     middle = np.median(columns) if len(points) > _AT_ONCE else -np.inf
     low = columns < middle
     if not low.any():
         yield points
         return
-    yield from _parted(points[low], columns[low])
-    yield from _parted(points[~low], columns[~low])
+    yield from _split(points[low], columns[low])
+    yield from _split(points[~low], columns[~low])
 
 
 def _too_wide() -> SeglocError:

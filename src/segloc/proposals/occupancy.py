@@ -8,7 +8,7 @@ heights, and the work is bounded.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +24,7 @@ from ..frontend.segmentation import Segmentation, SegmentationConfig, heights_ab
 from ..map.voxel_cloud import VoxelCloud
 from ..prior import Prior
 from ..system.section import Section
-from ..types import Candidate, Float32, Float64, Int64
+from ..types import Bools, Candidate, Float32, Float64, Int64
 from .proposer import Query
 
 LEVELS = (4, 5, 6)
@@ -92,6 +92,10 @@ class OccupancyProposer:
     config : OccupancyConfig, optional
     segmentation : SegmentationConfig, optional
         Definition of ground.
+    own : callable, optional
+        Tells which of (N, 2) positions are searched, those of a map's part; by default all.
+    parts : int
+        Number of parts that may be searched for one query: windows are as wide as if they were one.
 
     Notes
     -----
@@ -105,9 +109,13 @@ class OccupancyProposer:
         trajectory: Float64,
         config: OccupancyConfig | None = None,
         segmentation: SegmentationConfig | None = None,
+        *,
+        own: Callable[[Float64], Bools] | None = None,
+        parts: int = 1,
     ) -> None:
         self.config = config or OccupancyConfig()
         self._cloud = cloud
+        self._own, self._parts = own, parts
         self._path = trajectory[:, :3, 3] - cloud.origin
         self._segmentation = segmentation or SegmentationConfig()
         self._maps: list[_OccupancyMap] | None = None
@@ -127,20 +135,36 @@ class OccupancyProposer:
         near : Prior, optional
             Restricts the search.
         """
-        if self._maps is None:  # concurrent callers build it twice, harmlessly
-            self._maps = self._prepared()
-        view = view_of(scene, self.config, self._segmentation)
+        return self.found(view_of(scene, self.config, self._segmentation), near)
+
+    def found(self, view: View, near: Prior | None = None, share: float = 1.0) -> list[Candidate]:
+        """Return the candidates of a view, with a share of the work."""
+        self.prepare()
         origin = self._cloud.origin
-        found = [pose for each in self._maps for pose in each.search(view, origin, near)]
+        maps = self._maps or ()
+        found = [pose for each in maps for pose in each.search(view, origin, near, share)]
         found.sort(key=lambda pose: -pose[4])
         poses = [(geometry.yaw_transform(yaw, (x, y, z)), fit) for x, y, z, yaw, fit in found]
         return [Candidate(T, 0, fit) for T, fit in poses if near is None or near.holds(T)]
 
-    def _prepared(self) -> list[_OccupancyMap]:
-        """Build the grid of each storey; the bound of work is shared among storeys."""
-        parts = list(storeys(self._cloud.points, self._path))
-        config = self.config.model_copy(update={"work": self.config.work // len(parts)})
-        return [_OccupancyMap(*part, config, self._segmentation) for part in parts]
+    def prepare(self) -> None:
+        """Build the grid of each storey, once; the bound of work is shared among storeys."""
+        if self._maps is None:  # concurrent callers build it twice, harmlessly
+            parts = list(storeys(self._cloud.points, self._path))
+            config = self.config.model_copy(update={"work": self.config.work // len(parts)})
+            more = config, self._segmentation, self._owns, self._parts
+            self._maps = [_OccupancyMap(cloud, path, *more) for cloud, path in parts]
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the grids in memory."""
+        return sum(each.nbytes for each in self._maps or ())
+
+    def _owns(self, positions: Float64) -> Bools:
+        """Return which of (N, 2) positions, relative to the origin, are searched."""
+        if self._own is None:
+            return np.ones(len(positions), dtype=bool)
+        return self._own(positions + self._cloud.origin[:2])
 
 
 class _OccupancyMap:
@@ -152,8 +176,10 @@ class _OccupancyMap:
         path: Float64,
         config: OccupancyConfig,
         segmentation: SegmentationConfig,
+        own: Callable[[Float64], Bools],
+        parts: int,
     ) -> None:
-        self._config = config
+        self._config, self._own, self._parts = config, own, parts
         self._windows = 0
         self._native: _native.PoseSearch | None = None
         with suppress(ValueError):  # wider than the kernels' tables
@@ -176,22 +202,30 @@ class _OccupancyMap:
                 if len(path)
                 else _windows_under(cloud, width)
             )
+            roots = roots[_any_corner(self._own, roots, width)]
             self._windows = len(roots)
-            if self._windows * MIN_COLUMNS <= config.work:
+            if not self._windows:
+                return
+            if self._windows * self._parts * MIN_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
                 self._native = _native.PoseSearch(
                     points, slices, roots, config.cell, levels, farthest
                 )
                 return
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the grid in memory."""
+        return 0 if self._native is None else self._native.nbytes
+
     def search(
-        self, view: View, origin: Float64, near: Prior | None
+        self, view: View, origin: Float64, near: Prior | None, share: float
     ) -> Iterator[tuple[float, float, float, float, float]]:
-        """Yield x, y, z, yaw and fit of the best poses."""
+        """Yield x, y, z, yaw and fit of the best poses, found with a share of the work."""
         config, columns, slices = self._config, view.columns, view.slices
         if self._native is None or len(columns) < MIN_OCCUPIED:
             return
-        most = min(config.columns, config.work // self._windows)
+        most = min(config.columns, int(share * config.work) // self._windows)
         chosen = evenly(len(columns), most)
         columns, slices = columns[chosen], slices[chosen]
         poses, scores = self._native.search(
@@ -201,7 +235,7 @@ class _OccupancyMap:
             view.clearance,
             yaws=config.yaws,
             leaf_level=1,
-            width=config.width,
+            width=max(1, int(share * config.width)),
             count=config.max_candidates,
             separation=SEPARATION_M,
             separation_deg=SEPARATION_DEG,
@@ -237,6 +271,12 @@ def _windows_along(path: Float64, width: float, reach: float) -> NDArray[np.int3
 def _windows_under(cloud: Float32, width: float) -> NDArray[np.int32]:
     """Return the windows that contain a point."""
     return _int32(distinct(cells_of(cloud[:, :2], width)))
+
+
+def _any_corner(own: Callable[[Float64], Bools], windows: NDArray[np.int32], width: float) -> Bools:
+    """Return which of (R, 2) windows have a corner at a position of one's own."""
+    owned: Bools = np.any([own((windows + step) * width) for step in np.ndindex(2, 2)], axis=0)
+    return owned
 
 
 def _int32(cells: Int64) -> NDArray[np.int32]:

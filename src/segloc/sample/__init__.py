@@ -96,7 +96,7 @@ def load(name: Name) -> SampleDrive:
     try:
         with np.load(path, allow_pickle=False) as file:
             stored = {key: file[key] for key in file.files}
-        ranges = _decoded(stored)
+        ranges = _decode(stored)
         poses, truth = stored["poses"], stored["truth"]
         return SampleDrive(
             name,
@@ -112,7 +112,7 @@ def load(name: Name) -> SampleDrive:
         raise DatasetError(f"{path}: cannot be read: reinstall segloc ({error})") from error
 
 
-def _decoded(stored: dict[str, NDArray[np.uint8]]) -> NDArray[np.uint16]:
+def _decode(stored: dict[str, NDArray[np.uint8]]) -> NDArray[np.uint16]:
     """Restore ranges (N, B, F) from returns and zigzag differences along each beam."""
     shape = len(stored["poses"]), len(stored["elevations"]), stored["azimuths"].shape[1]
     returned = np.unpackbits(stored["returned"], count=int(np.prod(shape))).astype(bool)

@@ -167,7 +167,7 @@ def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DT
         wanted in (-1, found) for wanted, found in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        raise InvalidScan(f"{name} must have shape {_shown(shape)}, not {array.shape}")
+        raise InvalidScan(f"{name} must have shape {_format_shape(shape)}, not {array.shape}")
     if array.dtype.kind not in ("f" if np.issubdtype(dtype, np.floating) else "iu"):
         raise InvalidScan(f"{name} cannot have dtype {array.dtype}")
     with np.errstate(over="ignore", invalid="ignore"):
@@ -304,5 +304,5 @@ def are_rotations(R: Float64) -> NDArray[np.bool_]:
         return np.asarray((error <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
 
 
-def _shown(shape: tuple[int, ...]) -> str:
+def _format_shape(shape: tuple[int, ...]) -> str:
     return str(tuple("N" if n < 0 else n for n in shape)).replace("'", "")

@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from ..errors import SeglocError
-from .locks import locked, process_lives
+from .locks import lock_file, process_lives
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".xyz")
 """Suffixes of files that hold nothing but a point cloud; these are read of a folder."""
@@ -59,7 +59,7 @@ def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
     temporary = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as stream:
-            locked(stream.fileno())  # until closed: marks the file as being written
+            lock_file(stream.fileno())  # until closed: marks the file as being written
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -128,7 +128,7 @@ def _remove_stale(target: Path) -> None:
 
 def _remove_unlocked(path: Path) -> None:
     with suppress(OSError), path.open("rb") as stream:
-        if locked(stream.fileno()) is not False:
+        if lock_file(stream.fileno()) is not False:
             path.unlink()
 
 

@@ -12,7 +12,7 @@ from ..errors import SeglocError
 
 try:
     import fcntl
-except ImportError:  # Windows: no such locks; `locked` returns None
+except ImportError:  # Windows: no such locks; `lock_file` returns None
     fcntl = None  # type: ignore[assignment]
 
 _UNABLE = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
@@ -42,7 +42,7 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
     target = Path(os.path.realpath(path))
     lock = target.with_name(f".{target.name}.lock")
     try:
-        handle = _acquired(lock, waiting)
+        handle = _acquire(lock, waiting)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SeglocError(f"{path}: cannot be written: {reason}") from error
@@ -54,7 +54,7 @@ def exclusive(path: str | Path, waiting: Callable[[], None] | None = None) -> It
         os.close(handle)
 
 
-def locked(handle: int, *, wait: bool = False) -> bool | None:
+def lock_file(handle: int, *, wait: bool = False) -> bool | None:
     """Lock an open file until it is closed; return False if it is held, None without locks."""
     if fcntl is None:
         return None
@@ -82,15 +82,15 @@ def process_lives(number: int) -> bool:
     return True
 
 
-def _acquired(lock: Path, waiting: Callable[[], None] | None) -> int:
+def _acquire(lock: Path, waiting: Callable[[], None] | None) -> int:
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
         try:
-            if locked(handle) is False:
+            if lock_file(handle) is False:
                 if waiting:
                     waiting()
                 waiting = None
-                locked(handle, wait=True)
+                lock_file(handle, wait=True)
             if _still_there(lock, handle):
                 return handle
         except BaseException:

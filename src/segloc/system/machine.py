@@ -30,11 +30,11 @@ def versions() -> list[str]:
     return [
         f"{python}, {platform.platform()}",
         f"{processor()}, {os.cpu_count()} cores, {instruction_set()}",
-        *(f"{name} {version}" for name, version in sorted(_installed().items())),
+        *(f"{name} {version}" for name, version in sorted(_package_versions().items())),
     ]
 
 
-def _installed() -> dict[str, str]:
+def _package_versions() -> dict[str, str]:
     """Return the versions of installed packages that segloc needs or can use."""
     found = {}
     for requirement in metadata.requires("segloc") or []:

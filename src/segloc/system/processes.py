@@ -73,9 +73,9 @@ class ProcessPool(Executor):
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
-        self._pool = self._made()
+        self._pool = self._create()
 
-    def _made(self) -> _Pool:
+    def _create(self) -> _Pool:
         return _Pool(self._workers, mp_context=multiprocessing.get_context("spawn"))
 
     def submit(self, fn: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
@@ -87,7 +87,7 @@ class ProcessPool(Executor):
     def renew(self) -> None:
         """Start new processes after one was lost, since the pool accepts no more tasks."""
         self._pool.shutdown()
-        self._pool = self._made()
+        self._pool = self._create()
 
 
 @contextmanager

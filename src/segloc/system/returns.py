@@ -76,7 +76,7 @@ def missing_returns(points: Float32) -> NDArray[np.bool_] | None:
     for metres in ranges:
         there = np.flatnonzero(np.abs(reach - metres) <= RANGE_TOLERANCE_M)
         farthest = np.mean(reach > metres + RANGE_TOLERANCE_M) <= _MAX_BEYOND
-        fixed = _fixed(points[there], metres, int(MIN_SHARE * len(points)), bool(farthest))
+        fixed = _at_fixed_range(points[there], metres, int(MIN_SHARE * len(points)), bool(farthest))
         missing[there[fixed]] = True
     return missing if missing.any() else None
 
@@ -99,7 +99,9 @@ def _dense_ranges(ascending: NDArray[np.float64]) -> list[float]:
     return found
 
 
-def _fixed(points: Float32, metres: float, fewest: int, farthest: bool) -> NDArray[np.bool_]:
+def _at_fixed_range(
+    points: Float32, metres: float, fewest: int, farthest: bool
+) -> NDArray[np.bool_]:
     """Return which points at one range are no surface: all, those on one spot, or none.
 
     All are if they are ``farthest``, almost nothing lies beyond them, and they are no ring.

@@ -38,7 +38,7 @@ class Section(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise _refused(type(self), error) from error
+            raise _config_error(type(self), error) from error
 
     # Nested sections are validated without it, so that faults keep their full keys.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
@@ -49,7 +49,7 @@ class Section(BaseModel):
         try:
             return super().model_validate(obj, **options)
         except ValidationError as error:
-            raise _refused(cls, error) from error
+            raise _config_error(cls, error) from error
 
     def model_copy(
         self: SectionT, *, update: Mapping[str, Any] | None = None, deep: bool = False
@@ -59,7 +59,7 @@ class Section(BaseModel):
         return type(self).model_validate({**dict(copied), **update}) if update else copied
 
 
-def _refused(model: type[BaseModel], error: ValidationError) -> ConfigError:
+def _config_error(model: type[BaseModel], error: ValidationError) -> ConfigError:
     """Return the first fault in one line: key, fault, value."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])

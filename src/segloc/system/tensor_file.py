@@ -66,7 +66,7 @@ class TensorFile:
         if size > min(length - 8, MAX_HEADER_BYTES):
             raise TensorFileError("header too large")
         self._body = 8 + size
-        header = _parsed(self._bytes(size))
+        header = _parse(self._bytes(size))
         self.metadata = _texts(header.pop("__metadata__", {}))
         found = {name: _tensor(name, entry) for name, entry in header.items()}
         self.tensors = dict(sorted(found.items(), key=lambda item: (item[1].begin, item[1].end)))
@@ -174,7 +174,7 @@ def write_tensors(
         stream.write(plain.reshape(-1).view(np.uint8).data)
 
 
-def _parsed(text: bytes) -> dict[str, Any]:
+def _parse(text: bytes) -> dict[str, Any]:
     try:
         header = json.loads(text.decode(), parse_int=_int, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:

@@ -8,7 +8,7 @@ from typing import Any
 _COLUMNS = 100
 
 
-def counted(count: int, noun: str, verb: str = "") -> str:
+def quantity(count: int, noun: str, verb: str = "") -> str:
     """Format a count with its noun and its verb: "1 segment agrees", "2 segments agree".
 
     Parameters

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -101,6 +102,14 @@ class TileIndex(Section):
             by_cell.get((int(cell[0]), int(cell[1]))) or self._reaching(x, y)
             for (x, y), cell in zip(positions[:, :2], cells_of(positions, self.size_m), strict=True)
         ]
+
+    def nearest(self, positions: Float64, tiles: Sequence[Tile]) -> list[Tile]:
+        """Return that one of some tiles whose square has, or is nearest to, each of (N, 2 or 3)
+        positions."""
+        low = np.array([tile.cell for tile in tiles]) * self.size_m
+        at = positions[:, None, :2]
+        beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
+        return [tiles[k] for k in np.hypot(beyond[..., 0], beyond[..., 1]).argmin(axis=1).tolist()]
 
     def _reaching(self, x: float, y: float) -> Tile | None:
         """Return the nearest tile whose margin contains a position."""

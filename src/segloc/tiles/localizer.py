@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -19,26 +19,27 @@ from ..map.segment_map import SegmentMap
 from ..pipeline import Search
 from ..prior import Prior, within
 from ..proposals.coarse_vote import CoarseVoter
-from ..proposals.matching import Matcher
-from ..proposals.proposer import Estimator, Query
+from ..proposals.proposer import Estimator, Query, create
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
+from .pieces import MAX_ALL, SEGMENT_BYTES, Pieces, TiledLikelihood, TiledOccupancy
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
-MAX_VOTED, MAX_ALL = 4, 10
-"""Maximum number of tiles selected by votes, and of tiles that are all searched. Set by hand."""
+MAX_VOTED = 4
+"""Maximum number of tiles selected by votes. Set by hand."""
 
 
 class TiledLocalizer(Localizer):
     """Finds the pose of the sensor in a tiled map; used like a :class:`segloc.Localizer`.
 
-    A query is matched to a thin map of all tiles, or of those near the prior. A tile with far more
-    votes than chance is searched alone. Otherwise the query is matched to all segments of the tiles
-    with the most votes; those in which segments agree on poses are searched as one map, so that
-    similar places in different tiles make the query ambiguous. Other clouds are compared only if
-    there are few tiles.
+    Up to ten tiles, of all or of those near the prior, are searched as one map: the query is
+    matched to their segments, and the clouds of tiles are read where poses are proposed, so that
+    similar places in different tiles make the query ambiguous. Of more tiles, a query is matched to
+    a thin map. A tile with far more votes than chance is searched alone. Otherwise the query is
+    matched to all segments of the tiles with the most votes; those in which segments agree on poses
+    are searched as one map.
 
     Parameters
     ----------
@@ -87,6 +88,7 @@ class TiledLocalizer(Localizer):
             threads=config.threads,
             seed=config.seed,
         )
+        self._pieces = Pieces(tiles, config, self.descriptor.pruner)
         self._settings = config.to_yaml()
         self._reopen = partial(TiledLocalizer, tiles, config, estimator=estimator, clock=clock)
 
@@ -118,16 +120,21 @@ class TiledLocalizer(Localizer):
         times = times or StageTimes(self.clock)
         index = self.tiles.index
         tiles = index.tiles if near is None else index.near(near)
+        only = None if near is None else replace(near, anywhere=False)
         matches, found = _NONE, list[Candidate]()
-        if len(tiles) > 1:
+        sets: Iterable[Iterable[Tile]] = [tiles] if tiles else ()
+        if len(tiles) > MAX_ALL:
             with times("tiles"):
                 matches = self._vote.matches(query.descriptors, near)
                 found = self._vote.poses(query.scene, matches, near)
-        only = None if near is None else replace(near, anywhere=False)
+            sets = self._promising(query, found, near, times)
+        held, searched = self._owners(known), list[set[Tile]]()
         result: Search | None = None
-        held = self._owners(known)
-        for chosen in self._named(query, tiles, found, near, times):
-            here = self._searching(tuple({*chosen, *held}), times)
+        for chosen in map(set, sets):
+            if not chosen or chosen in searched:
+                continue
+            searched.append(chosen)
+            here = self._searching(chosen.union(held), times)
             result = here.search(query, times, deadline_ms, only, known=known)
             if result.reason is None or times.beyond(deadline_ms):
                 return result
@@ -170,23 +177,6 @@ class TiledLocalizer(Localizer):
             return ()
         owners = self.tiles.index.owners(np.stack([T[:3, 3] for T in poses]))
         return tuple(dict.fromkeys(tile for tile in owners if tile is not None))
-
-    def _named(
-        self,
-        query: Query,
-        tiles: tuple[Tile, ...],
-        found: list[Candidate],
-        near: Prior | None,
-        times: StageTimes,
-    ) -> Iterator[tuple[Tile, ...]]:
-        """Yield sets of tiles to search until the query is localized."""
-        searched: list[set[Tile]] = []
-        for chosen in self._promising(query, found, near, times):
-            if chosen and set(chosen) not in searched:
-                searched.append(set(chosen))
-                yield chosen
-        if 0 < len(tiles) <= MAX_ALL and set(tiles) not in searched:
-            yield tiles
 
     def _promising(
         self, query: Query, found: list[Candidate], near: Prior | None, times: StageTimes
@@ -238,22 +228,31 @@ class TiledLocalizer(Localizer):
 
     def _agree(self, query: Query, tile: Tile, near: Prior | None) -> int:
         """Return the inliers of a query in a tile, by all of its segments."""
-        part, config, pruner = self.tiles.tile(tile), self.config, self.descriptor.pruner
-        matcher = Matcher(part, config.matching, pruner=pruner, threads=config.threads)
+        mapped, matcher = self.tiles.tile(tile).centroids, self._pieces.matcher(tile)
         matches = matcher.prune(query.descriptors, matcher.match(query.descriptors))
         centroids = query.scene.segments.centroids
-        found = within(near, self.estimator.estimate(centroids, part.centroids, matches))
+        found = within(near, self.estimator.estimate(centroids, mapped, matches))
         return max((candidate.inliers for candidate in found), default=0)
 
-    def _searching(self, tiles: tuple[Tile, ...], times: StageTimes) -> Localizer:
-        """Return a cached localizer in some tiles."""
+    def _searching(self, tiles: Iterable[Tile], times: StageTimes) -> Localizer:
+        """Return a cached localizer in some tiles: their segments; the pieces have the rest."""
         chosen = sorted(tiles, key=lambda tile: tile.cell)
         key = (self._settings, *(tile.file for tile in chosen))
 
         def made() -> Localizer:
             with times("tiles"):
-                part = self.tiles.together(chosen)
-                return Localizer(part, self.config, estimator=self.estimator, clock=self.clock)
+                part, config = self.tiles.together(chosen, cloud_later=True), self.config
+                proposers = [create(name, part, config) for name in config.proposers]
+                if config.occupancy.enabled:
+                    proposers.append(TiledOccupancy(self._pieces, chosen))
+                return Localizer(
+                    part,
+                    config,
+                    estimator=self.estimator,
+                    proposers=proposers,
+                    likelihood=TiledLikelihood(self._pieces, chosen, ground=part.has_ground),
+                    clock=self.clock,
+                )
 
         return self.tiles.recent.get(key, made, _bytes)
 
@@ -271,15 +270,9 @@ _NONE = Matches(
 )
 
 
-_POINT_BYTES, _SEGMENT_BYTES = 45, 100
-"""Memory of a localizer's indices by point and by segment of its map."""
-
-
 def _bytes(localizer: Localizer) -> int:
-    """Estimate a localizer's memory: its map and its indices."""
-    prior_map = localizer.prior_map
-    points = _POINT_BYTES * len(prior_map.voxel_cloud)
-    return prior_map.memory_bytes + points + _SEGMENT_BYTES * len(prior_map)
+    """Estimate a localizer's memory: its segments and their index."""
+    return localizer.prior_map.memory_bytes + SEGMENT_BYTES * len(localizer.prior_map)
 
 
 def open_map(where: str) -> SegmentMap | TiledMap:

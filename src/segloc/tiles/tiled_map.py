@@ -10,7 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..errors import MapFormatError, MapMismatch
-from ..map.segment_map import SegmentMap, concatenated
+from ..map.coding import Stored
+from ..map.segment_map import SegmentMap, concatenated, replaced
+from ..types import Float32
 from .cut import owned_rows, part_where
 from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
 from .recent import Recent
@@ -18,7 +20,7 @@ from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30
 TIMEOUT_S = 30.0
-MEMORY_BYTES = 1 << 27
+MEMORY_BYTES = 1 << 28
 
 
 class TiledMap:
@@ -106,8 +108,10 @@ class TiledMap:
         """
         return self.recent.get(tile.file, lambda: self._loaded(tile), lambda m: m.memory_bytes)
 
-    def together(self, tiles: Sequence[Tile]) -> SegmentMap:
+    def together(self, tiles: Sequence[Tile], *, cloud_later: bool = False) -> SegmentMap:
         """Return some tiles as one map, without repetitions.
+
+        cloud_later: True to read the cloud anew whenever it is used.
 
         Raises
         ------
@@ -120,8 +124,14 @@ class TiledMap:
         for tile in tiles:
             others = [other for other in tiles if other.cell != tile.cell]
             owned = partial(owned_rows, tile=tile, others=others, index=self.index)
-            parts.append(part_where(self.tile(tile), owned))
-        return concatenated(parts, apart=True)
+            parts.append(part_where(self.tile(tile), owned, cloud=not cloud_later))
+        joined = concatenated(parts, apart=True)
+        if cloud_later:
+            return replaced(joined, points=_Later(partial(self._cloud_of, tiles)))
+        return joined
+
+    def _cloud_of(self, tiles: Sequence[Tile]) -> Float32:
+        return self.together(tiles).cloud
 
     def _loaded(self, file: TileFile) -> SegmentMap:
         data = self._reader.tile(file)
@@ -137,6 +147,16 @@ class TiledMap:
         if (loaded.descriptor, loaded.fingerprint) != (index.descriptor, index.fingerprint):
             raise MapMismatch(f"{where}: its descriptor differs from the index")
         return loaded
+
+
+class _Later(Stored):
+    """An array that is made on use."""
+
+    def __init__(self, make: Callable[[], Float32]) -> None:
+        super().__init__(0, 0, make)
+
+    def __len__(self) -> int:
+        return len(self.array())
 
 
 def _users_cache(where: str) -> Path:

@@ -12,7 +12,6 @@ from enum import Enum
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from .. import geometry
 from ..system.section import Section
@@ -238,7 +237,7 @@ class Belief:
             h.probability *= math.exp(gain)
             h.evidence, h.seen_at = seen.evidence + (1.0 - seen.told) * before, view.at
             if view.searched:
-                h.probability = max(h.probability, self._found(seen))
+                h.probability = max(h.probability, self._share_of(seen))
             if seen.evidence > 0.0:
                 h.views += view.new
                 self._move(h, seen, view)
@@ -257,7 +256,7 @@ class Belief:
         if (track := self.track) is not None:
             if track.probability >= self.config.localized_from:
                 return Status.LOCALIZED, ""
-            return Status.DEGRADED, self.problem or self._unsupported(track)
+            return Status.DEGRADED, self.problem or self._loss_reason(track)
         if self.lost < 0.5:
             several = sum(h.probability > 0.1 for h in self.hypotheses) > 1
             return Status.CANDIDATE, "several places fit" if several else "no agreement yet"
@@ -265,9 +264,9 @@ class Belief:
 
     def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
         """Return the covariance of the track's pose, with the drift since it was measured."""
-        return None if self.track is None else self._predicted(self.track, T_odom_sensor)
+        return None if self.track is None else self._predict(self.track, T_odom_sensor)
 
-    def _predicted(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
+    def _predict(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
         if h.covariance is None:
             return None
         path, config = max(0.0, self.travelled - h.at), self.config
@@ -283,9 +282,9 @@ class Belief:
         """Add a place: it takes its share of "lost"."""
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
-        self.hypotheses.append(Hypothesis(*where, self._found(place), place.evidence, view.at))
+        self.hypotheses.append(Hypothesis(*where, self._share_of(place), place.evidence, view.at))
 
-    def _found(self, place: Reading) -> float:
+    def _share_of(self, place: Reading) -> float:
         """Return the probability of a place, before normalisation, if it was lost before."""
         return self.lost * math.exp(min(place.log_ratio, _MAX_LOG_RATIO))
 
@@ -294,16 +293,17 @@ class Belief:
 
         A correction beyond what both allow is made once the next view repeats it.
         """
-        before, T_sensor = self._predicted(h, view.T_odom_sensor), view.T_odom_sensor
+        before, T_sensor = self._predict(h, view.T_odom_sensor), view.T_odom_sensor
         if seen.covariance is None or view.new == 0.0:
             return
         T, covariance = seen.T_map_odom, seen.covariance
         if before is not None:
-            step = _step(h.T_map_odom @ T_sensor, T @ T_sensor)
+            step = geometry.displacement(h.T_map_odom @ T_sensor, T @ T_sensor)
             both = before + seen.covariance / view.new
             if step @ np.linalg.solve(both, step) <= _MOST_SQUARED:
                 gain = np.linalg.solve(both, before).T
-                T = h.T_map_odom @ T_sensor @ _moved(gain @ step) @ geometry.inverse(T_sensor)
+                T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
+                T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
                 h.doubted = T
@@ -314,20 +314,16 @@ class Belief:
     def _repeats(self, doubted: Pose, seen: Reading, T_odom_sensor: Pose) -> bool:
         """Return whether two measured poses agree, by the covariance of one."""
         assert seen.covariance is not None
-        step = _step(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
+        step = geometry.displacement(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
         squared = step @ np.linalg.solve(2.0 * seen.covariance, step)
         return bool(squared <= _MOST_SQUARED)
 
-    def _same(self, h: Hypothesis, T_map_odom: Pose, view: View) -> bool:
-        """Return whether a pose gives the sensor the place of a hypothesis."""
-        T_odom_sensor = view.T_odom_sensor
-        return not self._separation.apart(h.T_map_odom @ T_odom_sensor, T_map_odom @ T_odom_sensor)
-
     def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
-        merged: list[Hypothesis] = []
+        merged, T_sensor = list[Hypothesis](), view.T_odom_sensor
         for h in sorted(self.hypotheses, key=lambda h: -h.probability):
-            same = (m for m in merged if self._same(m, h.T_map_odom, view))
+            T, apart = h.T_map_odom @ T_sensor, self._separation.apart
+            same = (m for m in merged if not apart(m.T_map_odom @ T_sensor, T))
             if (m := next(same, None)) is None:
                 merged.append(h)
             else:
@@ -345,19 +341,9 @@ class Belief:
         self.hypotheses = sorted(kept, key=lambda h: -h.probability)
         self.lost = max(0.0, 1.0 - sum(h.probability for h in kept))
         if (track := self.track) is None:
-            self.problem = self.problem or (self._unsupported(before) if before else "")
+            self.problem = self.problem or (self._loss_reason(before) if before else "")
         elif before is None or track.key != before.key:
             self.problem = ""
 
-    def _unsupported(self, track: Hypothesis) -> str:
+    def _loss_reason(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"
-
-
-def _step(T_from: Pose, T_to: Pose) -> Float64:
-    """Return the rotation vector [rad] and the translation [m] from one pose to another, (6,)."""
-    T = geometry.inverse(T_from) @ T_to
-    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
-
-
-def _moved(step: Float64) -> Pose:
-    return geometry.rigid(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])

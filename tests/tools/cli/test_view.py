@@ -277,7 +277,7 @@ def test_the_server_shows_a_panel_with_the_reason(
     finally:
         server.stop()
     assert colourful(shot) > 0.01  # its segments and matches
-    assert "**2: refused**\n\nnot localized: " in viewer.described(shown[2])
+    assert "**2: refused**\n\nnot localized: " in viewer.describe(shown[2])
 
 
 @pytest.mark.slow

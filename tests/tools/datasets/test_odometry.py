@@ -103,7 +103,7 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
     truth = simulated.drive.truth[settled:]
     ours = geometry.inverse(posed.poses[settled - 1]) @ posed.poses[settled - 1 :]
     error = np.linalg.norm((ours - geometry.inverse(truth[0]) @ truth)[:, :3, 3], axis=1)
-    assert geometry.travelled(truth)[-1] > 20
+    assert geometry.distance_travelled(truth)[-1] > 20
     assert error.max() < 0.5
 
 

@@ -37,7 +37,7 @@ from segloc.tools.doctor import (
     first_fault,
     hint,
     pose_findings,
-    sampled,
+    sample_scans,
     scan_findings,
 )
 from segloc.types import Float64, Recording, Reposed, Scan
@@ -546,7 +546,9 @@ def test_what_stands_beside_a_robot_at_rest_is_not_the_robot(plaza: Plaza) -> No
 def test_vehicles_in_real_scans_are_named_and_nothing_else(
     folder: str, inside: tuple[float, float, float] | None
 ) -> None:
-    found = body_findings(sampled(open_sequence(real(*folder.split("/"))), 20), LocalCloudConfig())
+    found = body_findings(
+        sample_scans(open_sequence(real(*folder.split("/"))), 20), LocalCloudConfig()
+    )
     assert len(found) == (inside is not None)
     if inside is not None:
         box = np.array(yaml.safe_load(found[0].remedy.split("`")[1])["local_cloud"]["body"])

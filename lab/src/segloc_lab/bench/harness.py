@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from segloc import geometry
-from segloc.system.text import counted
+from segloc.system.text import quantity
 from segloc.types import Float32, Float64, Int64, Pose, Scan
 
 from ..outcomes import pose_error
@@ -210,7 +210,7 @@ COLUMNS = ("what", "threads", "ours (ms)", "rivals (times ours)", "bound (ms)")
 
 def table_rows(row: Row) -> list[tuple[str, str, str]]:
     """(what, ms, how many times ours) of ours, of every rival and of the bound."""
-    threads = counted(row.threads, "threads")
+    threads = quantity(row.threads, "threads")
     rows = [(f"{row.name}, {threads}", _ms(row.ours_ms), "1.0")]
     rows += [(f"  {name}", _ms(ms), ratio) for name, ms, ratio in rivals_of(row)]
     if row.bound_ms is not None:

@@ -46,7 +46,7 @@ def measured(path: Path, scans: list[Path]) -> tuple[Cell, ...]:
         localizer.localize(query)
     marks.append(resident_mb())
     poses = prior_map.trajectory
-    km = float(geometry.travelled(poses)[-1]) / 1e3 if len(poses) else 0.0
+    km = float(geometry.distance_travelled(poses)[-1]) / 1e3 if len(poses) else 0.0
     total = marks[-1] - marks[0]
     parts = (f"{mb:.1f}" for mb in np.diff(marks))
     size = f"{path.stat().st_size / 1e6:.1f}"

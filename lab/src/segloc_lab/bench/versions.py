@@ -82,6 +82,8 @@ def worker(command: Command, work: Work, threads: int, prior_map: Path | None) -
     """
     environment, pipe = {**os.environ, **thread_variables(threads)}, subprocess.PIPE
     where = [] if prior_map is None else ["--map", str(prior_map)]
+    if work.tile_m is not None:
+        where += ["--tiles", str(work.tile_m)]
     given = [*command, work.kind, "--threads", str(threads), *where]
     with subprocess.Popen(given, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
         stdin, stdout = process.stdin, process.stdout
@@ -158,7 +160,8 @@ def in_turns(
 
 def write(path: Path, given: Input) -> Path:
     """Write an input of a worker; return its file."""
-    columns: dict[str, Any] = {} if given.truths is None else {"truths": given.truths}
+    parts = {"truths": given.truths, "near": given.near}
+    columns: dict[str, Any] = {name: part for name, part in parts.items() if part is not None}
     for k, recording in enumerate(given.recordings):
         scans = [recording.scan(i) for i in range(len(recording))]
         columns |= {

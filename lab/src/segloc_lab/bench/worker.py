@@ -11,10 +11,13 @@ parts, of the processor for one thread and of the wall for several, and counts o
 from __future__ import annotations
 
 import argparse
+import atexit
 import importlib
 import inspect
 import json
+import shutil
 import sys
+import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -81,6 +84,8 @@ class Inputs:
     def __init__(self, path: str) -> None:
         with np.load(path) as file:
             self.truths = file["truths"] if "truths" in file.files else None
+            near = file["near"].tolist() if "near" in file.files else None
+            self.near = None if near is None else (near[:2], near[2])
             names = sorted({name.split("/")[0] for name in file.files if "/" in name})
         self.recordings = [Recorded(path, name) for name in names]
         self.scans = [self.recordings[0].scan(i) for i in range(len(self.recordings[0]))]
@@ -93,7 +98,7 @@ Timed = tuple[dict[str, float], dict[str, int]]
 class Work:
     """All kinds of work, with a number of threads and in a map."""
 
-    def __init__(self, threads: int, prior_map: Path | None) -> None:
+    def __init__(self, threads: int, prior_map: Path | None, tile_m: float | None) -> None:
         self.clock = time.process_time if threads == 1 else time.perf_counter
         self.config = segloc.Config.preset("profile").model_copy(update={"threads": threads})
         self.segmenter = named("Segmenter", "frontend.segmentation", "segmentation")()
@@ -103,9 +108,10 @@ class Work:
         if prior_map is not None:
             takes_clock = "clock" in inspect.signature(segloc.Localizer).parameters
             given: dict[str, Any] = {"clock": self.clock} if takes_clock else {}
-            self.localizer = segloc.Localizer(
-                segloc.SegmentMap.load(prior_map), self.config, **given
-            )
+            where, make = segloc.SegmentMap.load(prior_map), segloc.Localizer
+            if tile_m is not None:
+                where, make = in_tiles(where, tile_m)
+            self.localizer = make(where, self.config, **given)
 
     def timed(self, work: Callable[[], Any]) -> tuple[Any, float]:
         """Return what some work returns, and its milliseconds."""
@@ -136,7 +142,7 @@ class Work:
     def query(self, inputs: Inputs) -> Timed:
         """Localize the last of one or more scans."""
         scans = inputs.scans if len(inputs.scans) > 1 else inputs.scans[0]
-        answer, ms = self.timed(lambda: self.localizer.localize(scans))
+        answer, ms = self.timed(lambda: self.localizer.localize(scans, near=inputs.near))
         kind = kind_of(answer, None if inputs.truths is None else inputs.truths[-1])
         stages = {f"{kind}, {s}": t for s, t in answer.times_ms.items() if s != "total"}
         return {kind: ms, **stages}, {kind: 1}
@@ -177,6 +183,15 @@ class Work:
         return {"a scan": sum(spent.values()) / count, **parts}, dict(kinds)
 
 
+def in_tiles(prior_map: Any, tile_m: float) -> tuple[Any, Any]:
+    """Return a map in tiles, in a folder until the process ends, and the class that takes it."""
+    tiles = importlib.import_module("segloc.tiles")
+    folder = tempfile.mkdtemp()
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    tiles.cut_tiles(prior_map, folder, size_m=tile_m)
+    return tiles.TiledMap(folder), getattr(tiles, "TiledLocalizer", segloc.Localizer)
+
+
 def kind_of(answer: Any, truth: Any) -> str:
     """Return whether an answer is found, refused, or false."""
     if not answer.localized:
@@ -195,9 +210,10 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=shown)
     options.add_argument("work", choices=KINDS)
     options.add_argument("--map", type=Path)
+    options.add_argument("--tiles", type=float, help="edge of tiles that the map is cut into")
     options.add_argument("--threads", type=int, default=1)
     given = options.parse_args()
-    work = getattr(Work(given.threads, given.map), given.work)
+    work = getattr(Work(given.threads, given.map, given.tiles), given.work)
     read = cache(Inputs)
     np.ones(_KEPT_BYTES, np.uint8)
     for line in sys.stdin:

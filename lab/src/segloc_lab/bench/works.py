@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +28,9 @@ BUILT = 60
 """Scans of a map."""
 
 TOWN_M, STREET_M, STREAM_M, ALIGNED_M = 250.0, 150.0, 82.0, 100.0
+TILES = {"few tiles": 250.0, "many tiles": 100.0}
+PRIOR_M, PRIOR_FAR_M = 50.0, 80.0
+"""Radius of a prior, and least distance of a wrong one's circle from the truth."""
 ASIDE_M = 10.0
 """Distance of the first query from the beginning of a street."""
 
@@ -42,10 +45,13 @@ class Input:
         A query is one recording, of one scan without a pose or of several with poses.
     truths : (N, 4, 4) float64 or None
         True T_map_sensor of the scans; None for a query of another place.
+    near : (x, y, radius) or None
+        Prior of a query [m].
     """
 
     recordings: Sequence[Recording]
     truths: Float64 | None = None
+    near: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -59,12 +65,15 @@ class Work:
         A method of ``worker.Work``.
     inputs : sequence of Input
     prior_map : SegmentMap or None
+    tile_m : float or None
+        Edge of the tiles that each version cuts the map into; None for one piece.
     """
 
     title: str
     kind: str
     inputs: Sequence[Input]
     prior_map: SegmentMap | None = None
+    tile_m: float | None = None
 
 
 def stages(data: Path | None) -> Iterator[Work]:
@@ -81,6 +90,15 @@ def query(data: Path | None) -> Iterator[Work]:
 def million(data: Path | None) -> Iterator[Work]:
     """Localize the same scans in a million segments."""
     yield in_map("query", single(data), MILLION)
+
+
+def tiles(data: Path | None) -> Iterator[Work]:
+    """Localize single thinned scans in a map of a drive: in one piece, in few tiles and in many."""
+    prior_map, queries = thinned(data)
+    near = near_a_prior(queries, prior_map)
+    for name, tile_m in {"one piece": None, **TILES}.items():
+        yield Work(f"query in {name}", "query", queries, prior_map, tile_m)
+        yield Work(f"query near a prior in {name}", "query", near, prior_map, tile_m)
 
 
 def accumulated(data: Path | None) -> Iterator[Work]:
@@ -127,6 +145,7 @@ WORKS: dict[str, Callable[[Path | None], Iterator[Work]]] = {
         stages,
         query,
         million,
+        tiles,
         accumulated,
         os1_128,
         build,
@@ -181,6 +200,28 @@ def gathered(data: Path | None) -> Place:
     return real(kitti, "accumulated", QUERIES // 2)
 
 
+@cache
+def thinned(data: Path | None) -> Place:
+    """Map the first half of KITTI 00 or a simulated street; queries are scans of later passes."""
+    kitti = kitti_of(data)
+    return simulated("hdl64e", 900) if kitti is None else real(kitti, "sparse", QUERIES)
+
+
+def near_a_prior(queries: Sequence[Input], prior_map: SegmentMap) -> list[Input]:
+    """Return the queries within a map near a right prior, and near one at another place of it."""
+    rng, path, found = np.random.default_rng(0), prior_map.trajectory[:, :2, 3], list[Input]()
+    for query in queries:
+        if query.truths is not None:
+            x, y = query.truths[-1][:2, 3]
+            aside = rng.uniform(-0.5, 0.5, 2) * PRIOR_M
+            found.append(replace(query, near=(x + aside[0], y + aside[1], PRIOR_M)))
+            far = path[np.hypot(*(path - (x, y)).T) > PRIOR_M + PRIOR_FAR_M]
+            if len(far):
+                x, y = far[rng.integers(len(far))]
+                found.append(replace(query, truths=None, near=(float(x), float(y), PRIOR_M)))
+    return found
+
+
 def real(folder: Path, protocol: str, count: int) -> Place:
     """Return a map of KITTI 00 and queries of a protocol, in the map and far from it."""
     mapped, found = kitti00.mapped(folder, protocol), kitti00.query_set(folder, protocol)
@@ -200,7 +241,7 @@ def simulated(sensor: str, firings: int, *, length_m: float = 0.0) -> Place:
     queries = []
     for seed in (0, 1):
         later = drive(sensor, firings, session=1, seed=seed).with_odometry()
-        enough = np.flatnonzero(geometry.travelled(later.truth) >= max(length_m, ASIDE_M))
+        enough = np.flatnonzero(geometry.distance_travelled(later.truth) >= max(length_m, ASIDE_M))
         for i in spread(enough, SCANS).tolist():
             scans = behind(later, i, length_m)
             queries.append(Input([scans], later.truth[i, None] if seed == 0 else None))

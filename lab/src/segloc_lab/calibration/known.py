@@ -189,7 +189,7 @@ class Views:
 
     def told(self, known: Known) -> Float64:
         """Compute how much each view can say, (N,)."""
-        return np.array([known.told(unknown) for unknown in self.unknown.tolist()])
+        return np.array([known.information(unknown) for unknown in self.unknown.tolist()])
 
 
 def said_together(said: Float64, told: Float64, alike: float) -> Float64:

@@ -35,6 +35,7 @@ WORKS = (
     "stages",
     "query",
     "million",
+    "tiles",
     "accumulated",
     "os1_128",
     "build",
@@ -173,7 +174,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _show(kernels: Sequence[Row], title: str) -> None:
-    from segloc.system.text import counted
+    from segloc.system.text import quantity
     from segloc.tools.cli.console import table
 
     from ..bench.harness import remark, table_rows
@@ -183,7 +184,7 @@ def _show(kernels: Sequence[Row], title: str) -> None:
         table(title, ("", "ms", "ratio"), lines)
     for row in kernels:
         if text := remark(row):
-            print(f"{row.name}, {counted(row.threads, 'threads')}: {text}")
+            print(f"{row.name}, {quantity(row.threads, 'threads')}: {text}")
 
 
 def _texts(row: Sequence[Cell]) -> list[str]:

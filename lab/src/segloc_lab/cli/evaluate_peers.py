@@ -30,8 +30,8 @@ def peers(
         typer.Option(
             metavar="NAME,...",
             help="Only these systems: segloc, segments (segloc by segments alone), a method of "
-            "the paper, scan-context, small-gicp, branch-and-bound, kiss-matcher, open3d, "
-            "map-closures.",
+            "the paper, scan-context, contour-context, small-gicp, branch-and-bound, "
+            "kiss-matcher, open3d, map-closures.",
             show_default="all",
         ),
     ] = None,

@@ -108,7 +108,7 @@ def extract(
     The sequences of one call are sessions of one place and share a frame. Repeated calls append; an
     interrupted run resumes.
     """
-    from segloc.config import validated
+    from segloc.config import validate
     from segloc.system.processes import executing
     from segloc.tools.cli.console import note
     from segloc.tools.cli.recording import open_recording
@@ -122,7 +122,7 @@ def extract(
     lengths = tuple(length) if length else ExtractConfig().lengths_m
     rule = {"rule": "centroids" if centroids_only else "extents"}
     values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
-    settings = validated(ExtractConfig, values, "extraction")
+    settings = validate(ExtractConfig, values, "extraction")
     if simulate is not None:
         chosen = tuple(sensors.split(",")) if sensors else ()
         worlds = draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin)

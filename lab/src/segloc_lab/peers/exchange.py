@@ -103,8 +103,8 @@ class Answers:
         NaN without an answer.
     scores : (N,) float64
         Larger for better answers; -inf without one.
-    ms : (N,) float64
-        Processor time.
+    ms, wall_ms : (N,) float64
+        Processor time, and time by the clock.
     queried, accepted : (N,) bool
     reasons : (N,) str
         Why a query was refused; "" where it was not.
@@ -119,7 +119,7 @@ class Answers:
     def __init__(self, count: int, *, decides: bool = False, trained: str = "-", key: int = 0):
         self.poses = np.full((count, 4, 4), np.nan)
         self.scores = np.full(count, -np.inf)
-        self.ms = np.zeros(count)
+        self.ms, self.wall_ms = np.zeros(count), np.zeros(count)
         self.queried = np.zeros(count, dtype=bool)
         self.accepted = np.zeros(count, dtype=bool)
         self.reasons = np.full(count, "", dtype="<U40")
@@ -140,7 +140,8 @@ class Answers:
         trained: str = "nothing",
     ) -> Answers:
         """Return the answers kept of the same queries and settings; none without any."""
-        key = zlib.crc32(queries.poses.tobytes() + queries.offsets.tobytes() + settings.encode())
+        form = settings + " ".join(vars(cls(0)))
+        key = zlib.crc32(queries.poses.tobytes() + queries.offsets.tobytes() + form.encode())
         path = answers_path(folder, system)
         if path.exists() and int((kept := cls.load(path)).key) == key:
             return kept
@@ -152,10 +153,11 @@ class Answers:
 
     @contextmanager
     def timed(self, query: int) -> Iterator[None]:
-        """Add processor time spent on a query."""
-        start = time.process_time()
+        """Add the time spent on a query."""
+        start, spent = time.perf_counter(), time.process_time()
         yield
-        self.ms[query] += 1e3 * (time.process_time() - start)
+        self.ms[query] += 1e3 * (time.process_time() - spent)
+        self.wall_ms[query] += 1e3 * (time.perf_counter() - start)
 
     def give(self, query: int, pose: NDArray[np.float64], score: float) -> None:
         """Keep an answer."""
@@ -168,8 +170,8 @@ class Answers:
 
     @classmethod
     def load(cls, path: Path) -> Answers:
-        answers = cls(0)
         with np.load(path) as arrays:
+            answers = cls(len(arrays["scores"]))
             for name, array in arrays.items():
                 setattr(answers, name, array)
         return answers

@@ -79,7 +79,7 @@ def gathered(recording: Recording, i: int, length_m: float, *, centred: bool) ->
 def views(recording: Recording, length_m: float, every_m: float) -> Clouds:
     """Clouds along the path of a map, each with its (level) pose."""
     poses = kitti00.poses_of(recording)
-    travelled = geometry.travelled(poses)
+    travelled = geometry.distance_travelled(poses)
     marks = np.arange(0.0, travelled[-1] + 1e-9, every_m)
     found = Gathering()
     for i in np.unique(np.searchsorted(travelled, marks - 1e-9)).tolist():
@@ -95,7 +95,7 @@ def write_cloud(recording: Recording, folder: Path, sensor_height_m: float) -> N
     prior_map = SegmentMap.from_cloud(points, Config(threads=1), sensor_height=sensor_height_m)
     cloud, found = ThinCloud.of(points), Gathering()
     for T in prior_map.trajectory:
-        eye, seen = cloud.seen_from(T[:3, 3] - cloud.origin, LOCAL.radius_m)
+        eye, seen = cloud.view_from(T[:3, 3] - cloud.origin, LOCAL.radius_m)
         found.add(seen - eye.astype(np.float32), T, 2)
     found.clouds().save(folder / "views-scan.npz")
 

@@ -118,7 +118,7 @@ def main() -> None:
             f"{float(kept['seconds']):.0f}, odometry included",
         ),
     ]
-    note = f"{len(drive)} keyframes, {geometry.travelled(truths)[-1]:.0f} m."
+    note = f"{len(drive)} keyframes, {geometry.distance_travelled(truths)[-1]:.0f} m."
     publish(args.report, "Loop closures on KITTI 00", Table(COLUMNS, rows, note))
 
 

@@ -76,6 +76,13 @@ PEERS = {
     "scan-context": Peer(
         "scan_context", "small_gicp", ("scan_context", "scan_context-alone"), (), _CONTEXTS
     ),
+    "contour-context": Peer(
+        "contour_context",
+        "small_gicp",
+        ("contour_context", "contour_context-alone"),
+        (),
+        {"gathered": _LONG},
+    ),
     "small-gicp": Peer("small_gicp_query", "small_gicp", ("small_gicp",)),
     "branch-and-bound": Peer(
         "branch_and_bound", "small_gicp", ("branch_and_bound",), (), {"indoors": ("--cell", "0.25")}

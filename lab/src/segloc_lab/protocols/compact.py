@@ -55,7 +55,7 @@ WAYS: dict[str, MappingConfig] = {
 def made(whole: SegmentMap, mapping: MappingConfig) -> SegmentMap:
     """Rebuild a map from the complete one with other settings."""
     cloud = VoxelCloud(whole.cloud, whole.origin, whole.cloud_voxel)
-    cloud = cloud.moved_to(whole.origin, mapping.cloud_voxel)
+    cloud = cloud.move_to(whole.origin, mapping.cloud_voxel)
     named = whole.descriptor, whole.fingerprint
     moved = SegmentMap(*named, whole.columns(), cloud, whole.trajectory, whole.metadata)
     return compacted(moved, mapping.compact)

@@ -22,12 +22,13 @@ import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.live import Replay, Status, play, pose_errors
+from segloc.live import Status, play, pose_errors
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.tools.datasets import Selection
 from segloc.types import Derived, Float64, Int64, Recording
@@ -146,6 +147,8 @@ class World:
 
     Attributes
     ----------
+    mapped : Recording
+        Of which the map was built; its poses are true.
     known : (K,) int64
         Positions of the drive up to which it has been along the map for some scans.
     """
@@ -164,7 +167,8 @@ class World:
         )
         ends = mapped.indices[[int((1.0 - MAPPED_SHARE) * len(mapped)), -1]].tolist()
         config = Config(threads=1)
-        prior_map = build_map(mapped.select(Selection((tuple(ends),))), config)
+        self.mapped = mapped.select(Selection((tuple(ends),)))
+        prior_map = build_map(self.mapped, config)
         self.localizer, self.drive = Localizer(prior_map, config), Cached(driven)
         self.truths = driven.truth
         self._beside = distances_to_path(self.truths, prior_map.trajectory)
@@ -179,10 +183,15 @@ class World:
         way = WAYS[number % len(WAYS)]
         taken, put, way = self._places(way, rng)
         degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
-        return self._tried(number, way, taken, put, np.radians(degrees), rng)
+        return self._tried(number, way, self._carried(taken, put, np.radians(degrees), rng))
 
     def alike(self, number: int) -> Trial | None:
         """Return one trial of a robot that is put to where most is alike; None without a place."""
+        carried = self.carried_alike(number)
+        return None if carried is None else self._tried(number, ALIKE, carried)
+
+    def carried_alike(self, number: int) -> Carried | None:
+        """Return the drive of that robot, reproducible by its number."""
         rng, spacing = np.random.default_rng([self.seed, number]), self.kind.spacing_m
         known = self.known[self.known >= BEFORE_M / spacing]
         stretches = (self._whole(self._inside, m) for m in (RECOVERED_M, RECOVERED_M / 2))
@@ -197,7 +206,7 @@ class World:
         views = {int(k): self._view(int(k)) for k in (taken, *there)}
         unlike = {k: _unlike(views[taken], views[k]) for k in there.tolist()}
         put = min(unlike, key=lambda k: unlike[k])
-        return self._tried(number, ALIKE, taken, put, unlike[put][1], rng)
+        return self._carried(taken, put, unlike[put][1], rng)
 
     def _view(self, position: int) -> Float64:
         """Return the distance and the height of what is nearest in each direction, (2, S)."""
@@ -213,13 +222,33 @@ class World:
         np.maximum.at(view[1], sector[stands], np.minimum(points[stands, 2], TALL_M))
         return view / [[REACH_M], [TALL_M]]
 
-    def _tried(
-        self, number: int, way: str, taken: int, put: int, turn: float, rng: np.random.Generator
-    ) -> Trial:
-        carried = self._carried(taken, put, turn, rng)
-        truths = self.truths[carried.positions] @ carried.turns
+    def followed(self, carried: Carried) -> Localized:
+        """Return where segloc localizes the robot of a drive."""
         played = play(self.localizer, carried)
-        return self._judged(number, way, played, carried, truths)
+        metres, degrees = pose_errors(played, self.truths_of(carried))
+        kinds = [played.states[int(k)].status for k in played.positions]
+        off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
+        sure = np.array([kind is Status.LOCALIZED for kind in kinds])
+        degraded = np.array([kind is Status.DEGRADED for kind in kinds])
+        return Localized(sure & ~off, sure & off, degraded & off)
+
+    def truths_of(self, carried: Carried) -> Float64:
+        """Return the true poses of the robot of a drive, (N, 4, 4)."""
+        return self.truths[carried.positions] @ carried.turns
+
+    def _tried(self, number: int, way: str, carried: Carried) -> Trial:
+        path = geometry.distance_travelled(self.truths_of(carried)[carried.first :])
+        kind = self.kind
+        found = self.followed(carried)
+        return Trial(
+            self.seed,
+            number,
+            kind.scene,
+            kind.sensor,
+            way,
+            **events(found, carried.first, path, kind.spacing_m),
+            carried_on=kind.spacing_m * int(found.carried_on.sum()),
+        )
 
     def _places(self, way: str, rng: np.random.Generator) -> tuple[int, int, str]:
         """Return where a robot is taken from and put to; another place if there is none."""
@@ -270,33 +299,43 @@ class World:
         later = stamps[second] - stamps[second[0]] + stamps[first[-1]] + 1.0
         return np.concatenate([stamps[first], later])
 
-    def _judged(
-        self, number: int, way: str, played: Replay, carried: Carried, truths: Float64
-    ) -> Trial:
-        metres, degrees = pose_errors(played, truths)
-        kinds = [played.states[int(k)].status for k in played.positions]
-        sure = np.array([kind is Status.LOCALIZED for kind in kinds])
-        carried_on = np.array([kind is Status.DEGRADED for kind in kinds])
-        off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
-        right, false, n = sure & ~off, sure & off, carried.first
-        path = geometry.travelled(truths[n:])
-        spacing = self.kind.spacing_m
 
-        def first(found: NDArray[np.bool_]) -> float | None:
-            return round(float(path[int(found.argmax())]), 1) if found.any() else None
+@dataclass(frozen=True)
+class Localized:
+    """Scans of a drive that are localized within the tolerance, beyond it, and degraded beyond it.
 
-        return Trial(
-            self.seed,
-            number,
-            self.kind.scene,
-            self.kind.sensor,
-            way,
-            bool(right[n - 1]),
-            first(~false[n:]),
-            first(right[n:]),
-            spacing * int(false.sum()),
-            spacing * int((carried_on & off).sum()),
-        )
+    Each is (N,) bool.
+    """
+
+    right: NDArray[np.bool_]
+    false: NDArray[np.bool_]
+    carried_on: NDArray[np.bool_]
+
+
+class Events(TypedDict):
+    """What became of a robot, as in :class:`Trial`."""
+
+    known: bool
+    noticed: float | None
+    recovered: float | None
+    held: float
+
+
+def events(found: Localized, first: int, path: Float64, spacing_m: float) -> Events:
+    """Return what became of a robot whose scan ``first`` is the first at its new place.
+
+    path: (M,) distance travelled from there on [m]
+    """
+
+    def reached(where: NDArray[np.bool_]) -> float | None:
+        return round(float(path[int(where.argmax())]), 1) if where.any() else None
+
+    return {
+        "known": bool(found.right[first - 1]),
+        "noticed": reached(~found.false[first:]),
+        "recovered": reached(found.right[first:]),
+        "held": spacing_m * int(found.false.sum()),
+    }
 
 
 def _unlike(here: Float64, there: Float64) -> tuple[float, float]:
@@ -306,10 +345,7 @@ def _unlike(here: Float64, there: Float64) -> tuple[float, float]:
     return float(differ[least]), -2.0 * np.pi * least / SECTORS
 
 
-COLUMNS = (
-    "world",
-    "sensor",
-    "carried to",
+EVENTS = (
     "trials",
     "known before",
     f"noticed within {NOTICED_M:g} m",
@@ -319,6 +355,8 @@ COLUMNS = (
     "recovered, median / worst (m)",
     "held, worst (m)",
 )
+"""Columns of :func:`row` after its name."""
+COLUMNS = ("world", "sensor", "carried to", *EVENTS)
 
 
 def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
@@ -326,13 +364,14 @@ def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
     rows = []
     for scene, sensor in dict.fromkeys((t.scene, t.sensor) for t in found):
         here = [t for t in found if (t.scene, t.sensor) == (scene, sensor)]
-        rows.append(_row((scene, sensor, "all"), here))
+        rows.append(row((scene, sensor, "all"), here))
     ways = dict.fromkeys(t.way for t in found)
-    rows += [_row(("all", "all", way), [t for t in found if t.way == way]) for way in ways]
-    return [*rows, _row(("all", "all", "all"), found)]
+    rows += [row(("all", "all", way), [t for t in found if t.way == way]) for way in ways]
+    return [*rows, row(("all", "all", "all"), found)]
 
 
-def _row(name: tuple[str, str, str], found: list[Trial]) -> tuple[Cell, ...]:
+def row(name: tuple[str, ...], found: list[Trial]) -> tuple[Cell, ...]:
+    """Return the row of some trials: its name, and what became of the robots."""
     known = [t for t in found if t.known]
     mapped = [t for t in known if t.way != "outside"]
     noticed = [np.inf if t.noticed is None else t.noticed for t in known]

@@ -29,11 +29,9 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localization, Localizer, Scan, build_map, geometry
+from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.errors import InvalidScan
 from segloc.live import LidarOdometry, LiveCore, State, Status
-from segloc.pipeline import Search
-from segloc.proposals import Query
 from segloc.system.stage_times import StageTimes
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.types import Float64, Int64, Recording
@@ -178,7 +176,7 @@ def stream_record(stream: Stream) -> dict[str, Any]:
             for step, each in zip(steps, errors, strict=True)
         ]
     )
-    metres = np.diff(geometry.travelled(stream.truths), prepend=0.0)
+    metres = np.diff(geometry.distance_travelled(stream.truths), prepend=0.0)
     degraded = [
         within_three_sigma(step.state, T)
         for step, T in zip(steps, truths, strict=True)
@@ -240,7 +238,7 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
     """Return metres until localized, from places of the map; None off the map's trajectory."""
     if stream.starts_m == np.inf:
         return []
-    travelled, found = geometry.travelled(stream.truths), []
+    travelled, found = geometry.distance_travelled(stream.truths), []
     for start in np.arange(0.0, travelled[-1], stream.starts_m):
         first = int(np.searchsorted(travelled, start))
         stays = covered[first : int(np.searchsorted(travelled, start + stream.give_up_m))]
@@ -301,12 +299,7 @@ def _add_alone(
     core: LiveCore, odometry: LidarOdometry, scan: Scan, stamp: float, times: StageTimes
 ) -> None:
     """Add a scan as ``LiveCore(lidar_odometry=True)`` does, and make its queries."""
-    segmented: list[float] = []
-
-    def note(query: Query, search: Search, result: Localization) -> None:
-        segmented.append(result.times_ms["segmentation"])
-
-    lost = odometry.losses
+    segmented, lost = 0.0, odometry.losses
     with times("odometry"):
         poses = odometry.add(scan, stamp)
     with times("scan"):
@@ -317,8 +310,11 @@ def _add_alone(
         core.add_scan(scan, stamp)
     with times("query"):
         while (asked := core.due()) is not None:
-            core.answer(asked, core.ask(asked, callback=note))
-    times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + sum(segmented)
+            made = core.ask(asked)
+            core.answer(asked, made)
+            if made.found is not None:
+                segmented += made.found[2].times_ms["segmentation"]
+    times.ms["segmentation"] = times.ms.get("segmentation", 0.0) + segmented
 
 
 def there_and_back(count: int, total: int) -> Int64:

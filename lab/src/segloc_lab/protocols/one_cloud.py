@@ -211,7 +211,7 @@ class Study:
             area = large_cloud.area_m2(prior_map)
             entry = {"place": place.name, "made": made, "area_m2": area, "seconds": spent}
             entry |= {"bytes": path.stat().st_size, "segments": len(prior_map)}
-            entry["km"] = float(geometry.travelled(place.poses)[-1]) / 1e3
+            entry["km"] = float(geometry.distance_travelled(place.poses)[-1]) / 1e3
             self.built.append(entry)
             keep(self.work / "built.jsonl", entry)
 

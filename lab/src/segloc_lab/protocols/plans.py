@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map
-from segloc.geometry import travelled
+from segloc.geometry import distance_travelled
 from segloc.map.from_mesh import build_from_mesh
 from segloc.types import Pose
 
@@ -115,7 +115,7 @@ class Site:
         drives = [later for _, later in self.drives()]
         for drive in drives:
             cast, noisy = kept(drive, work / "scans"), drive.with_odometry().poses
-            way = travelled(drive.truth)
+            way = distance_travelled(drive.truth)
             first = int(np.searchsorted(way, DRIVE_M))
             count = self.count // len(drives)
             for i in np.linspace(first, len(drive) - 1, count).round().astype(int).tolist():

@@ -63,7 +63,7 @@ class Forest:
             for part in np.split(rows, offsets[1:-1])
         ]
         poses = read_trajectory(folder / "poses.tum").poses
-        path = geometry.travelled(poses)
+        path = geometry.distance_travelled(poses)
         behind = np.searchsorted(path, path - BEHIND_M)
         gaps = np.full(len(poses), np.inf)
         for k, count in enumerate(behind):

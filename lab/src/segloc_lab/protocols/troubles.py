@@ -50,7 +50,7 @@ def _steps(stream: Stream) -> Float64:
 
 def _mishaps(stream: Stream) -> Int64:
     """Positions at which something goes wrong."""
-    travelled = geometry.travelled(stream.truths)
+    travelled = geometry.distance_travelled(stream.truths)
     return np.searchsorted(travelled, np.arange(EVERY_M, travelled[-1], EVERY_M))
 
 
@@ -61,7 +61,7 @@ def no_trouble(stream: Stream) -> Stream:
 
 def wheels_slip(stream: Stream) -> Stream:
     """Let the odometry go on by two metres more than the robot, within one."""
-    steps, travelled = _steps(stream), geometry.travelled(stream.truths)
+    steps, travelled = _steps(stream), geometry.distance_travelled(stream.truths)
     slips = (travelled > EVERY_M) & (travelled % EVERY_M < LASTS_M)
     steps[slips, :3, 3] *= 1.0 + SLIP_M / LASTS_M
     return replace(stream, odometry=chained(steps))
@@ -153,7 +153,7 @@ class Crowded(Derived[Recording]):
 
 def crowd(stream: Stream) -> Stream:
     """Let people stand around the robot along every other 10 m."""
-    among = geometry.travelled(stream.truths) % (2.0 * CROWD_M) >= CROWD_M
+    among = geometry.distance_travelled(stream.truths) % (2.0 * CROWD_M) >= CROWD_M
     at = frozenset(np.flatnonzero(among).tolist())
     return replace(stream, recording=Crowded(stream.recording, at))
 
@@ -161,7 +161,7 @@ def crowd(stream: Stream) -> Stream:
 def out_and_back(stream: Stream) -> Stream | None:
     """Leave the map by 30 m and come back the same way; None if the drive does not leave it."""
     outside = ~is_covered(stream)
-    travelled = geometry.travelled(stream.truths)
+    travelled = geometry.distance_travelled(stream.truths)
     for leaves in np.flatnonzero(~outside[:-1] & outside[1:]):
         first, last = np.searchsorted(travelled, travelled[leaves] + np.array([-OUT_M, OUT_M]))
         inside = not outside[first : leaves + 1].any()
@@ -220,7 +220,7 @@ def record(world: World, trouble: str) -> dict[str, Any] | None:
 def _back_m(stream: Stream, localized: Sequence[int]) -> float | None:
     """Metres from the end of the map until localized again, on the way back."""
     returns = int(np.flatnonzero(~is_covered(stream))[-1]) + 1
-    travelled = geometry.travelled(stream.truths)
+    travelled = geometry.distance_travelled(stream.truths)
     again = next((i for i in localized if i >= returns), None)
     return None if again is None else round(float(travelled[again] - travelled[returns]), 1)
 

@@ -77,7 +77,7 @@ class Part:
 def first_query(data: Path) -> int:
     """Return the keyframe at which the last 1300 m start."""
     drive = keyframes(data)
-    way = geometry.travelled(poses_of(drive))
+    way = geometry.distance_travelled(poses_of(drive))
     return int(drive.indices[np.searchsorted(way, way[-1] - LAST_M)])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from segloc.config import validated
+from segloc.config import validate
 from segloc.descriptors.pointset import Alignment
 from segloc.errors import MissingDependency
 from segloc.system import kernels
@@ -187,4 +187,4 @@ def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
     """Read a configuration file, if given, and override it with options."""
     values = {**({} if path is None else read_yaml(path)), **given}
     published = PUBLISHED.get(str(values.get("network", "dsm")), {})
-    return validated(TrainConfig, {**published, **values}, str(path or "training"))
+    return validate(TrainConfig, {**published, **values}, str(path or "training"))

@@ -182,7 +182,7 @@ def _local_clouds(
     if poses is None or len(poses) == 0:
         raise DatasetError(f"{recording.name}: training needs a pose for every scan")
     gap = config.local_cloud.max_gap_m
-    way = geometry.travelled(poses)
+    way = geometry.distance_travelled(poses)
     plan = [
         (int(index), length, window(poses, int(index), length, centred=True, max_gap_m=gap))
         for index in geometry.stations(way, config.every_m)

@@ -14,7 +14,7 @@ from segloc.descriptors.base import Descriptor
 from segloc.descriptors.pointset import PointSetDescriptor
 from segloc.descriptors.profile import ProfileDescriptor
 from segloc.descriptors.segmap import SegMapDescriptor
-from segloc.descriptors.weightfile import opened
+from segloc.descriptors.weightfile import open_weights
 from segloc.errors import WeightsError
 from segloc.system import kernels
 from segloc.types import Float32
@@ -274,7 +274,7 @@ def load_descriptor(name: str, threads: int = 0) -> Descriptor:
         if name in available():
             return create(name, threads)
         raise WeightsError(f"{name}: neither a file nor a registered descriptor")
-    with opened(path) as file:
+    with open_weights(path) as file:
         kind = file.metadata.get("format", "")
     if kind == "segloc network":
         return PointSetDescriptor(path.stem, path, judge="nearest", threads=threads)

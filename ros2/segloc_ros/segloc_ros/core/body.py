@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from segloc import geometry
-from segloc.robot import Float64, Pose
+from segloc.robot import GRAVITY_HALF_WINDOW_S as HALF_WINDOW_S
+from segloc.robot import Float64, Pose, gravity_of
 
 from .frames import Transform, frame_name
 from .settings import Settings
 from .transforms import Fixity, Mount, TransformTree
-from .upright import Upright
 
 Stamped = tuple[float, Pose]
 
@@ -18,17 +20,13 @@ _WORLD = "world frame"
 _PUBLISH = "publish it on /tf_static"
 _RAW = "use the driver's raw topic, in the sensor's own frame"
 
-
+_MOST_READINGS = 2048
 _MAX_TILT_DEG = 50.0
 """A robot does not lean further: then the axes of its odometry are wrong."""
 
 
 class Body:
     """Mounts and odometry, by tf or by parameters.
-
-    Parameters
-    ----------
-    settings : Settings
 
     Attributes
     ----------
@@ -205,6 +203,40 @@ class Body:
             self._faults[kind] = fault
         else:
             self._faults.pop(kind, None)
+
+
+class Upright:
+    """Estimates the tilt of the odometry's frame from accelerations at rest.
+
+    Attributes
+    ----------
+    T_level_odom : (4, 4) float64 or None
+        Turns the odometry's z axis up; None until it is known.
+    """
+
+    def __init__(self) -> None:
+        self.T_level_odom: Pose | None = None
+        self._kept: deque[tuple[float, Float64]] = deque(maxlen=_MOST_READINGS)
+
+    def add(self, stamp: float, acceleration: Float64) -> None:
+        """Add a reading (3,), m/s2 or g, in the frame of the IMU."""
+        if self._kept and stamp < self._kept[-1][0]:
+            self._kept.clear()
+        self._kept.append((stamp, acceleration))
+        while self._kept[0][0] < stamp - 2 * HALF_WINDOW_S:
+            self._kept.popleft()
+
+    def settle(self, T_odom_imu: Pose) -> bool:
+        """Return whether the tilt is known, given the pose of the IMU by the odometry."""
+        if self.T_level_odom is not None:
+            return True
+        if not self._kept or self._kept[-1][0] - self._kept[0][0] < HALF_WINDOW_S:
+            return False
+        gravity = gravity_of(np.stack([value for _, value in self._kept]))
+        if gravity is None:
+            return False
+        self.T_level_odom = geometry.upright(-(T_odom_imu[:3, :3] @ gravity.direction))
+        return True
 
 
 def same(T_a: Pose, T_b: Pose) -> bool:

@@ -16,10 +16,15 @@ Note = Callable[[str], None]
 _PART_BYTES = 1 << 24
 
 
+def is_url(path: str) -> bool:
+    """Return whether a path is a URL, of tiles."""
+    return "://" in path
+
+
 def holds_cloud(path: str) -> bool:
     """Return whether a path is a cloud file, or a folder of clouds, and no map or tiles."""
     where = Path(path)
-    if "://" in path:
+    if is_url(path):
         return False
     if not where.is_dir():
         return is_cloud(where)
@@ -34,14 +39,7 @@ def holds_cloud(path: str) -> bool:
 
 
 def cloud_signature(path: str) -> tuple[int, int, int]:
-    """Return what changes whenever a file of a cloud does: newest time, bytes, number of files.
-
-    Raises
-    ------
-    SeglocError
-        If there is none.
-    OSError
-    """
+    """Return what changes whenever a file of a cloud does: newest time, bytes, number of files."""
     found = [file.stat() for file in cloud_sources(path)]
     return max(f.st_mtime_ns for f in found), sum(f.st_size for f in found), len(found)
 
@@ -50,22 +48,8 @@ def map_of_cloud(path: str, threads: int, progress: Progress, note: Note) -> Seg
     """Return the map of a cloud: the cached one, or a new one, which is then cached.
 
     The cache is ``CLOUD.CHECKSUM.segmap`` beside the cloud; in a read-only folder it is in the
-    user's cache. A damaged one is replaced.
-
-    Parameters
-    ----------
-    path : str
-        A cloud file, or a folder of them.
-    threads : int
-    progress : callable
-        Called with one line, often; an exception that it raises ends the work.
-    note : callable
-        Called with each remark on the cloud, one line.
-
-    Raises
-    ------
-    SeglocError
-        If the cloud cannot be read, or is no map: not in metres, not level.
+    user's cache. A damaged one is replaced. ``progress`` is called often; an exception that it
+    raises ends the work. Raise SeglocError if the cloud cannot be read, or is no map.
     """
     name = Path(path).name
     progress(f"reading {name}")

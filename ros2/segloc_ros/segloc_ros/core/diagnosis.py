@@ -21,15 +21,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """One diagnostic_msgs/DiagnosticStatus.
-
-    Attributes
-    ----------
-    level : Level
-    message : str
-        The state, and why it is no better.
-    values : dict of str to str
-    """
+    """One diagnostic_msgs/DiagnosticStatus; its message is the state, and why it is no better."""
 
     level: Level
     message: str
@@ -56,22 +48,7 @@ class TfState(IntEnum):
 
 @dataclass(frozen=True)
 class RobotState:
-    """The contents of a segloc_msgs/State.
-
-    Attributes
-    ----------
-    stamp : float
-        Of the newest odometry [s]; 0 before the first.
-    status : StateStatus
-    at_rest : bool
-        Whether no queries are made: the pose, if there is one, follows the odometry.
-    reason : str
-        Why the status is no better; "" while localized and without a fault.
-    confidence : float
-        Probability of the most probable place, in [0, 1], to two decimals.
-    map_url : str
-    map_to_odom : TfState
-    """
+    """The contents of a segloc_msgs/State, whose file describes them."""
 
     stamp: float
     status: StateStatus
@@ -114,7 +91,7 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
         robot.trigger.resting,
         reason,
         0.0 if current is None else round(current.confidence, 2),
-        robot.map_path,
+        robot.maps.path,
         map_to_odom,
     )
 
@@ -137,15 +114,15 @@ def diagnose(robot: Robot) -> Diagnosis:
 
 def _summary(robot: Robot) -> tuple[Level, str]:
     if fault := _fault(robot):
-        is_error = "map" in robot.faults and not robot.map_progress
+        is_error = "map" in robot.faults and robot.maps.fault and not robot.maps.progress
         return Level.ERROR if is_error else Level.WARN, fault
     level, message = _state(robot)
     if robot.keeps_tf:
         message = f"{message}; the last map -> odom is kept"
-    if robot.map_progress:
-        return Level.WARN, f"{message}; {robot.map_progress}"
-    if robot.map_fault:  # the map in use is older than its file
-        return Level.ERROR, f"{message}; the map in use stays: {robot.map_fault}"
+    if robot.maps.progress:
+        return Level.WARN, f"{message}; {robot.maps.progress}"
+    if robot.maps.fault:  # the map in use is older than its file
+        return Level.ERROR, f"{message}; the map in use stays: {robot.maps.fault}"
     if robot.behind_s > _LATE_S:
         return Level.WARN, (
             f"{message}; input is processed {robot.behind_s:.1f} s late: the node lacks processor "
@@ -187,7 +164,7 @@ def _state(robot: Robot) -> tuple[Level, str]:
 def _values(robot: Robot) -> dict[str, str]:
     values: dict[str, str] = {"mode": robot.settings.mode, "trigger": robot.settings.trigger}
     values |= {f"missing {kind}": text for kind, text in robot.faults.items()}
-    values |= {"map": robot.map_path, "map fault": robot.map_fault or robot.request_fault}
+    values |= {"map": robot.maps.path, "map fault": robot.maps.fault or robot.maps.request_fault}
     if (state := robot.state) is not None:
         values |= {
             "status": state.status.value,
@@ -216,7 +193,7 @@ def _values(robot: Robot) -> dict[str, str]:
     if (core := robot.core) is not None:
         values |= {"scans": str(core.scans), "dropped": str(core.dropped)}
     if (last := robot.last) is not None:
-        values["last query"] = last.message or "accepted"
-        values["candidates"] = " ".join(f"{p:.3f}" for _, p in last.candidates)
+        values["last query"] = "accepted" if last.localized else last.message
+        values["candidates"] = " ".join(f"{place.probability:.3f}" for place in last.places)
         values |= {f"{stage}_ms": f"{ms:.1f}" for stage, ms in last.times_ms.items()}
     return values

@@ -17,16 +17,7 @@ from segloc.robot import frame_name as frame_name
 
 @dataclass(frozen=True)
 class Transform:
-    """geometry_msgs/TransformStamped.
-
-    Attributes
-    ----------
-    stamp : float
-        Seconds.
-    parent, child : str
-        Frames, without a leading slash.
-    T_parent_child : (4, 4) float64
-    """
+    """geometry_msgs/TransformStamped: seconds, and frames without a leading slash."""
 
     stamp: float
     parent: str
@@ -35,13 +26,7 @@ class Transform:
 
 
 def pose_of(xyz: Sequence[float], xyzw: Sequence[float]) -> Pose:
-    """(4, 4) float64 of a position and a quaternion.
-
-    Raises
-    ------
-    InvalidScan
-        If the quaternion is not near unit length, or a number is not finite.
-    """
+    """(4, 4) float64 of a position and a unit quaternion; raise InvalidScan if they are none."""
     position, q = np.array(xyz, dtype=np.float64), np.array(xyzw, dtype=np.float64)
     if not (np.isfinite(position).all() and abs(np.linalg.norm(q) - 1.0) < 0.05):
         raise InvalidScan("a pose needs finite numbers and a quaternion of length 1")

@@ -14,17 +14,9 @@ def is_livox(type_name: str) -> bool:
 
 
 def livox_cloud(data: bytes) -> tuple[float, str, Scan]:
-    """Return the stamp [s], the frame and the points, with times after the stamp.
+    """Return the stamp [s], the frame and the points of a ``CustomMsg`` in CDR, of either driver.
 
-    Parameters
-    ----------
-    data : bytes
-        A ``CustomMsg`` of livox_ros_driver2 or livox_ros_driver, in CDR.
-
-    Raises
-    ------
-    DatasetError
-        If the message is cut off, or its frame is no text.
+    Raise DatasetError if it is cut off, or its frame is no text.
     """
     order = "<" if data[1:2] == b"\1" else ">"
     try:

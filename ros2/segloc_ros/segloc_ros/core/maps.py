@@ -11,19 +11,11 @@ from segloc import Localizer, SeglocError, SegmentMap
 from segloc.robot import Float32, map_config
 from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
 
-from .cloud_map import Note, cloud_signature, holds_cloud, map_of_cloud
+from .cloud_map import Note, cloud_signature, holds_cloud, is_url, map_of_cloud
 
 
 class MapFile:
     """A map that may be missing, late or replaced.
-
-    Parameters
-    ----------
-    path : str
-    threads : int
-        Of the localizer.
-    note : callable, optional
-        Called with each remark on a cloud of which a map is built, one line.
 
     Attributes
     ----------
@@ -35,43 +27,42 @@ class MapFile:
         Why the last map on request could not be loaded; "" if it was.
     progress : str
         What is being done to a cloud; "" otherwise.
+    note : callable
+        Called with each remark on a cloud of which a map is built, one line.
     on_progress : callable
         Called when ``progress`` has changed; an exception that it raises ends the work.
     """
 
-    def __init__(self, path: str, threads: int, note: Note = lambda remark: None) -> None:
-        self.path, self._threads, self._note = path, threads, note
-        self.progress = ""
+    def __init__(self, path: str, threads: int) -> None:
+        self.path, self._threads = path, threads
+        self.progress = self.fault = self.request_fault = ""
+        self.note: Note = lambda remark: None
         self.on_progress: Callable[[], None] = lambda: None
         self._seen: tuple[int, int, int] | None = None
-        self.fault, self.request_fault = "the map is being read", ""
+
+    @property
+    def missing(self) -> str:
+        """Why there is no map yet."""
+        return self.progress or self.fault or "the map is being read"
 
     def newer(self) -> Localizer | None:
         """Return a localizer if the map is new or has changed; None otherwise.
 
         Files are replaced whole. One that cannot be read is tried again once it has changed.
         """
-        if not self.path:
-            self.fault = (
-                "no map: set the parameter map to a .segmap, a point cloud, a folder of tiles or "
-                "its URL"
-            )
-            return None
+        seen, self._seen = self._seen, None
         try:
-            signature = _signature(self.path)
-        except OSError as error:
-            self.fault, self._seen = f"no map: {self.path}: {error.strerror}", None
-            return None
-        except SeglocError as error:
-            self.fault, self._seen = f"no map: {error}", None
-            return None
-        if signature == self._seen:
-            return None
-        self._seen = signature
-        try:
+            if not self.path:
+                raise SeglocError(
+                    "set the parameter map to a .segmap, a point cloud, a folder of tiles or its "
+                    "URL"
+                )
+            self._seen = _signature(self.path)
+            if self._seen == seen:
+                return None
             localizer = self._opened(self.path)
         except (SeglocError, OSError) as error:
-            self.fault = f"no map: {error}"
+            self.fault = f"no map: {_named(self.path, error)}"
             return None
         self.fault = ""
         return localizer
@@ -79,20 +70,14 @@ class MapFile:
     def switch(self, path: str) -> Localizer:
         """Load another map, and watch that from now on; on a fault the one before stays.
 
-        Raises
-        ------
-        SeglocError
-            If it cannot be loaded; names the fault.
+        Raise SeglocError, which names the fault, if it cannot be loaded.
         """
         try:
             signature = _signature(path)
             localizer = self._opened(path)
-        except OSError as error:
-            self.request_fault = f"{path}: {error.strerror}"
+        except (SeglocError, OSError) as error:
+            self.request_fault = _named(path, error)
             raise SeglocError(self.request_fault) from error
-        except SeglocError as error:
-            self.request_fault = str(error)
-            raise
         self.path, self._seen, self.fault, self.request_fault = path, signature, "", ""
         return localizer
 
@@ -103,7 +88,7 @@ class MapFile:
         """
         try:
             prior_map = (
-                map_of_cloud(path, self._threads, self._report, self._note)
+                map_of_cloud(path, self._threads, self._report, self.note)
                 if holds_cloud(path)
                 else open_map(path)
             )
@@ -119,13 +104,13 @@ class MapFile:
             self.on_progress()
 
 
-def _is_url(path: str) -> bool:
-    return "://" in path
+def _named(path: str, error: Exception) -> str:
+    return f"{path}: {error.strerror}" if isinstance(error, OSError) else str(error)
 
 
 def _signature(path: str) -> tuple[int, int, int]:
     """What changes whenever a map is replaced; a URL is not watched."""
-    if _is_url(path):
+    if is_url(path):
         return (0, 0, 0)
     if holds_cloud(path):
         return cloud_signature(path)
@@ -140,7 +125,7 @@ def grid_beside(path: str) -> str:
     It is ``site.yaml`` or ``site/map.yaml`` beside ``site.segmap``, and ``map.yaml`` in a folder.
     """
     where = Path(path)
-    if _is_url(path):
+    if is_url(path):
         return ""
     stem = where if where.is_dir() else where.with_suffix("")
     beside = stem / "map.yaml", stem.with_name(f"{stem.name}.yaml")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from segloc import geometry, ros_covariance
 from segloc.robot import Float64, Pose
@@ -20,14 +19,8 @@ _UNKNOWN = (1.0, 5.0)
 class PoseReply:
     """geometry_msgs/PoseWithCovarianceStamped.
 
-    Attributes
-    ----------
-    stamp : float
-        Seconds.
-    frame : str
-    T_map_base : (4, 4) float64
-    covariance : (6, 6) float64
-        In ROS's order and axes: x, y, z (m), rotations about the fixed X, Y, Z of ``frame`` (rad).
+    Its covariance has ROS's order and axes: x, y, z [m], rotations about the fixed X, Y, Z of
+    ``frame`` [rad].
     """
 
     stamp: float
@@ -75,15 +68,7 @@ class MapToOdom:
 
 @dataclass(frozen=True)
 class OdometryReply:
-    """nav_msgs/Odometry, and odom -> base_link on tf.
-
-    Attributes
-    ----------
-    transform : Transform
-        odom -> base_link.
-    linear, angular : (3,) float64
-        Velocities in the base's frame [m/s] and [rad/s].
-    """
+    """nav_msgs/Odometry, and odom -> base_link on tf; velocities in the base, [m/s] and [rad/s]."""
 
     transform: Transform
     linear: Float64
@@ -95,26 +80,13 @@ class OdometryReply:
         seconds = 0.0 if before is None else transform.stamp - before[0]
         if before is None or seconds <= 0.0:
             return cls(transform, np.zeros(3), np.zeros(3))
-        step = geometry.inverse(before[1]) @ transform.T_parent_child
-        turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
-        return cls(transform, step[:3, 3] / seconds, turn / seconds)
+        rates = geometry.displacement(before[1], transform.T_parent_child) / seconds
+        return cls(transform, rates[3:], rates[:3])
 
 
 @dataclass(frozen=True)
 class MatchesReply:
-    """Segments of the map that a query matches.
-
-    Attributes
-    ----------
-    stamp : float
-    frame : str
-    position : (3,) float64
-        Of the sensor at the best candidate.
-    centroids : (K, 3) float64
-        Of the segments of the map that agree.
-    accepted : bool
-        Whether the query was localized.
-    """
+    """The sensor at the best candidate, and centroids (K, 3) of the segments that agree with it."""
 
     stamp: float
     frame: str
@@ -125,15 +97,7 @@ class MatchesReply:
 
 @dataclass(frozen=True)
 class CandidatesReply:
-    """geometry_msgs/PoseArray: the places that a query found.
-
-    Attributes
-    ----------
-    stamp : float
-    frame : str
-    places : tuple of (T_map_base, probability)
-        The most probable first.
-    """
+    """geometry_msgs/PoseArray: T_map_base and probability of what a query found, best first."""
 
     stamp: float
     frame: str

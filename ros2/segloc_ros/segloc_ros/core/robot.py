@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Localizer, Prior, Scan, SeglocError, geometry
-from segloc.live import LidarOdometry, LiveCore, State, Status
+from segloc import Localization, Localizer, Prior, Scan, SeglocError, geometry
+from segloc.live import LidarOdometry, LiveCore, QueryRequest, State, Status
 from segloc.robot import (
     Float64,
     Pose,
     StreamTimes,
+    matched_segments,
     prior_of_fix,
     scan_of_pointcloud2,
     unread_times,
@@ -29,17 +30,23 @@ from .body import Body, Stamped, same
 from .clicks import Click, Echoes
 from .frames import Transform, frame_name
 from .livox import livox_cloud
+from .maps import MapFile
 from .merge import MountedScan
-from .queries import Answer, Job, ScansInOdom, make
-from .replies import CandidatesReply, InitialPose, MapToOdom, OdometryReply, PoseReply, Reply
+from .replies import (
+    CandidatesReply,
+    InitialPose,
+    MapToOdom,
+    MatchesReply,
+    OdometryReply,
+    PoseReply,
+    Reply,
+)
+from .scan_checks import ScansInOdom, StillClouds
 from .settings import Settings
-from .still import StillClouds
 from .trigger import Trigger
 
-_READING = "the map is being read"
 _MOST_POSES = 4096
 _NEAR_S = 0.5
-_AT_ONCE = {"every_s": 1e-9, "every_lost_s": 1e-9}
 _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
 """A tracker gets another pose if its own differs by more."""
 
@@ -47,38 +54,27 @@ _MOVED = geometry.Separation(metres=1.0, degrees=5.0, height=1.0)
 class Robot:
     """Localizes a robot from the messages of its topics.
 
-    Parameters
-    ----------
-    settings : Settings
-
     Attributes
     ----------
     faults : dict of str to str
         Messages on what is missing, by kind; no pose is published while there is any.
+    core : LiveCore or None
+        What follows the robot; None while the map or the mount is unknown.
     state : State or None
     fixes : int
         How often it was found.
-    last : Answer or None
-        The last query with a search.
+    last : Localization or None
+        Answer of the last search.
     intake_ms, points : float, int
         Processing time of the last cloud, and its points, those of all LiDARs.
     refused : Counter of str
         Clouds that were not used, by reason.
-    skipped, jumps : int
-        Clouds that came faster than they could be processed; jumps of the odometry.
-    behind_s : float
-        Time that the newest input other than clouds has waited [s].
-    map_path, map_fault, request_fault : str
-        The file of the map, why it cannot be read, and why the last one on request was not; "" if
-        they were.
-    map_progress : str
-        Progress of reading or building the map, in words; "" otherwise.
+    skipped, behind_s : int, float
+        As for :class:`segloc.live.Shell`, which sets them.
+    jumps : int
+        Jumps of the odometry.
     publishers : int or None
         Of ``points``; None if unknown.
-    hint : str
-        Likely cause of failed queries; "" if none is known.
-    keeper : PoseKeeper or None
-        Keeps the pose over a power cycle.
     point_times : dict of str to StreamTimes
         Unit of the point times by topic; ``note`` is a line if they are converted or dropped.
     """
@@ -88,25 +84,22 @@ class Robot:
         self.body = Body(settings)
         self.trigger = Trigger(settings.trigger, settings.click_s)
         self.state: State | None = None
-        self.last: Answer | None = None
+        self.last: Localization | None = None
         self.fixes, self.intake_ms, self.points = 0, 0.0, 0
         self.refused: Counter[str] = Counter()
         self.skipped = self.jumps = 0
         self.behind_s = 0.0
-        self.map_path, self.map_fault, self.request_fault = settings.map, "", ""
-        self.map_progress = _READING
+        self.maps = MapFile(settings.map, settings.threads)
         self.publishers: int | None = None
-        self.hint = ""
         self._arrived: float | None = None  # when the last cloud came, by a steady clock
+        self._heard_at = np.inf  # when the last cloud or odometry came
         self._localizer: Localizer | None = None
         self._fix: Any = None  # the newest sensor_msgs/NavSatFix
         self._is_near_fix = False  # whether the last query was near it
-        self._core: LiveCore | None = None
+        self.core: LiveCore | None = None
+        self._asked: LiveCore | None = None  # that the query in progress is of
         self.point_times: defaultdict[str, StreamTimes] = defaultdict(StreamTimes)
-        self._own = {
-            "map": _READING,
-            "points": f"no cloud yet: {settings.points_topic}",
-        }
+        self._own = {"points": f"no cloud yet: {settings.points_topic}"}
         self.keeper = settings.keeper
         self._smooth, self._merger = settings.smooth, settings.merger
         self._lidar_odometry: LidarOdometry | None = None
@@ -117,7 +110,7 @@ class Robot:
         self._odometry: deque[Stamped] = deque(maxlen=_MOST_POSES)
         self._echoes = Echoes()
         self._jumps, self._sent_at = 0, -np.inf
-        self._live, self._is_update_due = settings.live, False
+        self._live = settings.live
         self._same_clock_s = self._live.silent_s + self._live.clock_jump_s
         self._kept: Pose | None = None  # the last T_map_odom, broadcast while the robot is lost
         self._posed_at = -np.inf  # stamp of the last pose published
@@ -126,12 +119,13 @@ class Robot:
 
     @property
     def faults(self) -> dict[str, str]:
-        return {**self._own, **self.body.faults}
+        known = {**self._own, **self.body.faults}
+        return known if self._localizer is not None else {**known, "map": self.maps.missing}
 
     @property
-    def core(self) -> LiveCore | None:
-        """What follows the robot; None while the map or the mount is unknown."""
-        return self._core
+    def hint(self) -> str:
+        """Likely cause of failed queries; "" if none is known."""
+        return self._checked.fault
 
     @property
     def stamp(self) -> float:
@@ -155,8 +149,7 @@ class Robot:
         """Take a map, the first or another: the pose in the one before is forgotten."""
         self._localizer = localizer
         self._end()
-        self._kept, self.map_progress = None, ""
-        self._own.pop("map", None)
+        self._kept = None
 
     def switch(self, localizer: Localizer, T_new_old: Pose | None = None) -> None:
         """Take another map and search it.
@@ -173,24 +166,12 @@ class Robot:
             self._kept = self._supposed if self.settings.tf_when_lost == "keep" else None
         self.relocalize(prior)
 
-    def report_map(
-        self, path: str, fault: str, request_fault: str = "", progress: str = ""
-    ) -> None:
-        """Report the map's file, why it cannot be read, and why the last one on request was not.
-
-        ``progress`` is what is being done to a cloud. A map in use stays in use.
-        """
-        self.map_path, self.map_fault, self.request_fault = path, fault, request_fault
-        self.map_progress = progress
-        if self._localizer is None and (progress or fault):
-            self._own["map"] = progress or fault
-
     def on_transforms(self, transforms: list[Transform], static: bool) -> list[Reply]:
         """tf2_msgs/TFMessage. A mount that moves ends the localization."""
         odometry = self.body.add_transforms(transforms, static)
         if self.body.tf_changes != self._tf_changes:
             self._tf_changes = self.body.tf_changes
-            if self._core is not None and not self.body.is_rigid():
+            if self.core is not None and not self.body.is_rigid():
                 self._end()
         return self._moved(odometry)
 
@@ -217,7 +198,7 @@ class Robot:
         try:
             stamp, frame, scan = livox_cloud(data)
         except SeglocError as error:
-            self._arrived = time.monotonic()
+            self._arrived = self._heard_at = time.monotonic()
             return self._refuse("unreadable", f"cloud refused: {error}")
         return self._on_scan(lambda: scan, [], stamp, frame, topic)
 
@@ -230,7 +211,7 @@ class Robot:
     ) -> list[Reply]:
         """Take a cloud; ``names`` are those of its fields."""
         begun = time.perf_counter()
-        self._arrived = time.monotonic()
+        self._arrived = self._heard_at = time.monotonic()
         self._own.pop("points", None)
         lidar, topic = frame_name(frame), topic or self.settings.points_topic
         if topic == self.settings.points_topic and not self._is_of_one(lidar, stamp):
@@ -357,8 +338,8 @@ class Robot:
         self.trigger.wake(near, anywhere)
         self._told, self._own = None, {k: v for k, v in self._own.items() if k != "jump"}
         self._forget_hints()
-        if self._core is not None:
-            self.state = self._core.forget()
+        if self.core is not None:
+            self.state = self.core.forget()
         return self.fixes
 
     def request_update(self) -> None:
@@ -371,31 +352,30 @@ class Robot:
             return
         if self.trigger.resting:
             self.trigger.wake()
-        self._is_update_due = True
+        if self.core is not None:
+            self.core.hurry()
 
-    def quiet(self, seconds: float) -> list[Reply]:
-        """Report that no data was received for some time [s]."""
-        if self._core is None or not self._core.scans:
+    def report_silence(self) -> list[Reply]:
+        """Report, once, that neither clouds nor odometry came for some time."""
+        silent_s = time.monotonic() - self._heard_at
+        if self.core is None or not self.core.scans or silent_s <= self.settings.silent_s:
             return []
-        return self._tell([self._core.report_silence(seconds)])
+        self._heard_at = np.inf
+        return self._tell([self.core.report_silence(silent_s)])
 
     # --- queries -------------------------------------------------------------------------------
 
-    def due(self) -> Job | None:
+    def due(self) -> QueryRequest | None:
         """Return the query to make now, if any."""
-        core = self._core
-        if core is None:
+        core = self.core
+        if core is None or (request := core.due()) is None:
             return None
-        if self._is_update_due:
-            core.config = self._live.model_copy(update=_AT_ONCE)
-        if (asked := core.due()) is None:
-            return None
-        core.config, self._is_update_due = self._live, False
-        near = self.trigger.near(asked.stamp) or asked.near or self._fixed(asked.stamp)
+        near = self.trigger.near(request.stamp) or request.near or self._fixed(request.stamp)
         if self.trigger.resting:
-            core.answer(asked, None)
+            core.answer(request, None)
             return None
-        return Job(core, replace(asked, near=near), () if self.hint else self._checked.take())
+        self._asked = core
+        return replace(request, near=near)
 
     def _fixed(self, stamp: float) -> Prior | None:
         """Return a prior around the newest fix, in every other query while not localized."""
@@ -415,24 +395,32 @@ class Robot:
         self._is_near_fix = not self._is_near_fix
         return replace(prior, anywhere=False) if self._is_near_fix else None
 
-    @staticmethod
-    def ask(job: Job) -> Answer:
+    def ask(self, request: QueryRequest) -> QueryRequest:
         """Make a query; thread-safe."""
-        return make(job)
+        assert self._asked is not None
+        checked, made = self._checked, self._asked.ask(request)
+        if made.found is not None:
+            checked.check(failed=not made.found[2].localized)
+        return made
 
-    def answer(self, answer: Answer) -> list[Reply]:
-        """Apply the answer of a query; one in a map that was replaced meanwhile is ignored."""
-        if answer.job.core is not self._core:
+    def answer(self, request: QueryRequest, made: QueryRequest | None) -> list[Reply]:
+        """Apply a query; one in a map that was replaced meanwhile is ignored."""
+        core, frame = self.core, self.settings.map_frame
+        if core is None or core is not self._asked:
             return []
-        if answer.accepted is not None:
-            self.last = answer
-        self.hint = self.hint or answer.hint
-        replies = self._tell([answer.job.core.answer(answer.job.asked, answer.view)])
-        if answer.candidates:
-            frame, stamp = self.settings.map_frame, answer.job.asked.stamp
-            replies.append(CandidatesReply(stamp, frame, answer.candidates))
-        shown = answer.matches(self.settings.map_frame) if self.settings.matches else None
-        return replies if shown is None else [*replies, shown]
+        if made is None or made.found is None:
+            return self._tell([core.answer(request, made)])
+        query, search, self.last = made.found
+        replies = self._tell([core.answer(request, made)])
+        T_sensor_base = geometry.inverse(core.T_base_sensor)
+        places = [(p.T_map_sensor @ T_sensor_base, p.probability) for p in self.last.places]
+        if places:
+            replies.append(CandidatesReply(request.stamp, frame, tuple(places)))
+        position, centroids = matched_segments(query, search)
+        if self.settings.matches and position is not None:
+            shown = position, centroids, search.reason is None
+            replies.append(MatchesReply(request.stamp, frame, *shown))
+        return replies
 
     # --- state ---------------------------------------------------------------------------------
 
@@ -471,7 +459,7 @@ class Robot:
 
     def _end(self) -> None:
         """End the localization: forget the pose and the scans."""
-        self._core, self.state, self._told = None, None, None
+        self.core, self.state, self._told = None, None, None
         self._forget_hints()
         if self._smooth is not None:
             self._smooth.clear()
@@ -479,29 +467,30 @@ class Robot:
             self.trigger.lose()
 
     def _forget_hints(self) -> None:
-        self.hint, self._checked = "", ScansInOdom()
+        self._checked = ScansInOdom()
 
     def _following(self, T_base_lidar: Pose) -> LiveCore | None:
         """Return the core for a mount; a new one if it has changed."""
         if self._localizer is None:
             return None
-        if self._core is None or not same(self._core.T_base_sensor, T_base_lidar):
-            self._core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
+        if self.core is None or not same(self.core.T_base_sensor, T_base_lidar):
+            self.core = LiveCore(self._localizer, self._live, T_base_lidar, keeper=self.keeper)
             self.state, self._told = None, None
             for stamp, T in self._odometry:
-                self._core.add_odometry(stamp, T)
-            self._jumps = self._core.jumps
+                self.core.add_odometry(stamp, T)
+            self._jumps = self.core.jumps
             if self._supposed is not None:
-                self._core.tracker.suppose(self._supposed)
+                self.core.tracker.suppose(self._supposed)
                 self._supposed = None
-        return self._core
+        return self.core
 
     def _moved(self, odometry: list[Stamped]) -> list[Reply]:
         replies: list[Reply] = []
         for stamp, T in odometry:
+            self._heard_at = time.monotonic()
             self._odometry.append((stamp, T))
-            if self._core is not None:
-                replies += self._tell(self._core.add_odometry(stamp, T))
+            if self.core is not None:
+                replies += self._tell(self.core.add_odometry(stamp, T))
             replies += self._broadcast(stamp, T)
         return replies
 
@@ -520,8 +509,8 @@ class Robot:
             frames = self.body.odom_frame, self.settings.base_frame
             replies.append(OdometryReply.of(Transform(time_s, *frames, T), before))
             replies += self._moved(self.body.computed(time_s, T))
-        if odometry.losses > lost and self._core is not None:
-            replies += self._tell([self._core.report_lost_motion(odometry.fault)])
+        if odometry.losses > lost and self.core is not None:
+            replies += self._tell([self.core.report_lost_motion(odometry.fault)])
         return replies
 
     def _broadcast(self, stamp: float, T_odom_base: Pose) -> list[Reply]:
@@ -563,7 +552,7 @@ class Robot:
         return current.T_map_odom @ state.T_odom_base, state.T_odom_base, current.covariance
 
     def _notice_jumps(self) -> None:
-        core = self._core
+        core = self.core
         if core is None or core.jumps == self._jumps:
             return
         self.jumps += core.jumps - self._jumps

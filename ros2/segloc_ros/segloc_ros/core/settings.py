@@ -172,13 +172,7 @@ class Settings(Section):
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Settings:
-        """From the values of parameters.
-
-        Raises
-        ------
-        segloc.ConfigError
-            If a name is unknown or a value out of range; names it.
-        """
+        """From the values of parameters; ConfigError names an unknown or a wrong one."""
         try:
             return cls.model_validate(parameters)
         except ConfigError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from segloc import geometry
 from segloc.robot import Float64, Pose
@@ -51,10 +50,8 @@ class SmoothTransform:
             self._max_rps * seconds / max(float(np.linalg.norm(offset[:3])), 1e-9),
         )
         if share < 1.0:
-            turn = Rotation.from_rotvec(share * offset[:3]).as_matrix()
-            step = geometry.rigid(turn, share * offset[3:])
-            T_base_odom = geometry.inverse(T_odom_base)
-            T_map_odom = geometry.orthonormal(self.T_map_odom @ T_odom_base @ step @ T_base_odom)
+            T = geometry.displace(self.T_map_odom @ T_odom_base, share * offset)
+            T_map_odom = geometry.orthonormal(T @ geometry.inverse(T_odom_base))
         self.T_map_odom = T_map_odom
         return T_map_odom
 
@@ -62,10 +59,7 @@ class SmoothTransform:
         """Remaining correction, (6,): rotation [rad] and translation [m] in the base's frame."""
         if self.T_map_odom is None:
             return np.zeros(6)
-        T_base_map = geometry.inverse(self.T_map_odom @ T_odom_base)
-        step = T_base_map @ T_map_odom @ T_odom_base
-        turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
-        return np.concatenate([turn, step[:3, 3]])
+        return geometry.displacement(self.T_map_odom @ T_odom_base, T_map_odom @ T_odom_base)
 
 
 def _metres(offset: Float64) -> float:

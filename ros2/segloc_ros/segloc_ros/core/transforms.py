@@ -36,16 +36,7 @@ class Fixity(Enum):
 
 @dataclass(frozen=True)
 class Mount:
-    """A transform between two frames, and whether it is fixed.
-
-    Attributes
-    ----------
-    fixity : Fixity
-    T : (4, 4) float64 or None
-        T_target_source; None unless fixed.
-    fault : str
-        Why it is not fixed; "" if it is.
-    """
+    """T_target_source between two frames; None, and the fault, unless it is fixed."""
 
     fixity: Fixity
     T: Pose | None = None

@@ -12,7 +12,7 @@ from ... import geometry
 from ...errors import DatasetError
 from ...frontend.local_cloud import Accumulator, LocalCloudConfig
 from ...frontend.segmentation import Segmenter
-from ...system.text import counted
+from ...system.text import quantity
 from ...types import Bools, Float32, Scan
 from ..datasets import RecordedSequence
 from ..doctor import Examination, Finding, facts, faulty_points
@@ -60,11 +60,11 @@ def page(recording: RecordedSequence, found: Examination, config: LocalCloudConf
     sections = [_section(finding, recording, scan, name, config) for finding in found.findings]
     usual: list[tuple[str, bytes]] = []
     if not problems and len(scan):
-        usual = [(_USUAL.format(name), _drawn(_usual(scan, config)))]
+        usual = [(_USUAL.format(name), _picture(_usual(scan, config)))]
     known = [(name, text) for name, text in facts(recording, found) if text != "-"]
     return html.document(
         recording.name,
-        counted(problems, "problems") if problems else "no problems found",
+        quantity(problems, "problems") if problems else "no problems found",
         not problems,
         *sections,
         html.pictures(usual),
@@ -93,11 +93,11 @@ def _section(
         first, second = finding.scans
         a, b = recording.indices[first], recording.indices[second]
         caption = f"Scan {a} (grey) and scan {b} at their poses: red points lie off scan {a}"
-        shown = [(caption, _drawn(_pair(recording, first, second)))]
+        shown = [(caption, _picture(_pair(recording, first, second)))]
     elif (marked := faulty_points(finding, scan, config)).any():
         caption = f"{name} from above and from the side: red points show it"
         radius_m = None if finding.box is None else _BODY_RADIUS_M
-        shown = [(caption, _drawn(_marked(scan.points, marked), radius_m))]
+        shown = [(caption, _picture(_mark(scan.points, marked), radius_m))]
     title = html.heading(f"{'Problem' if finding.wrong else 'Note'}: {finding.what}")
     remedy = html.paragraphs([f"What helps: {finding.remedy}"] if finding.remedy else [])
     return f"{title}{remedy}{html.pictures(shown)}"
@@ -108,7 +108,7 @@ def _usual(scan: Scan, config: LocalCloudConfig) -> list[Layer]:
     return [(scene.ground, GREY, 4.0), (scene.structure, ORANGE, 1.0)]
 
 
-def _marked(points: Float32, marked: Bools) -> list[Layer]:
+def _mark(points: Float32, marked: Bools) -> list[Layer]:
     return [(points[~marked], GREY, 1.0), (points[marked], RED, 2.0)]
 
 
@@ -122,7 +122,7 @@ def _pair(recording: RecordedSequence, first: int, second: int) -> list[Layer]:
     return [(here, GREY, 1.0), (there[~off], GREEN, 1.0), (there[off], RED, 1.5)]
 
 
-def _drawn(layers: list[Layer], radius_m: float | None = None) -> bytes:
+def _picture(layers: list[Layer], radius_m: float | None = None) -> bytes:
     """Draw points from above, and below that from the side."""
     low, high = _limits(np.concatenate([points for points, *_ in layers]), radius_m)
     spans = high - low

@@ -201,7 +201,7 @@ def draw_errors(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> 
     charts, ground = figure.subplots(1, 2, width_ratios=(1.2, 1))
     charts.remove()
     grid = charts.get_gridspec()[0, 0].subgridspec(2, 1)
-    way = travelled(evaluation.truths)
+    way = distance_travelled(evaluation.truths)
     upper = figure.add_subplot(grid[0])
     lower = figure.add_subplot(grid[1], sharex=upper)
     _curve(upper, way, evaluation, evaluation.translation_error, "position error", "m")
@@ -212,7 +212,7 @@ def draw_errors(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> 
     return png(figure)
 
 
-def travelled(truths: Float64) -> Float64:
+def distance_travelled(truths: Float64) -> Float64:
     """Return metres from the first query to each (N,); a jump between parts counts as zero."""
     steps = np.linalg.norm(np.diff(truths[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(np.where(steps > PATH_BREAK_M, 0.0, steps))])

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...localization import Localization, pose_text
-from ...system.text import counted, number
+from ...system.text import number, quantity
 from ..inspect import html
-from .score import Evaluation
+from .score import PROCESSOR, Evaluation
 
 PICTURES = {
     "trajectory.png": "Answers on the map: an arrow for each localized query, a hollow shape for "
@@ -49,7 +49,7 @@ def page(
 def _headline(evaluation: Evaluation) -> str:
     if len(evaluation) == 1:
         return sentence(evaluation.results[0])
-    found, queries = int(evaluation.localized.sum()), counted(len(evaluation), "queries")
+    found, queries = int(evaluation.localized.sum()), quantity(len(evaluation), "queries")
     text = f"{found} of {queries} localized"
     if evaluation.truths is None:
         return text
@@ -88,7 +88,7 @@ def answer_row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
 
 def sentence(result: Localization) -> str:
     """Describe the result of a query in one line."""
-    agree = counted(result.inliers, "segments", "agree")
+    agree = quantity(result.inliers, "segments", "agree")
     measured = f"{agree}, {result.overlap:.0%} of the cloud lies on the map"
     if result.proposer not in (None, "segments"):
         measured += f"; proposed by {result.proposer}"
@@ -112,8 +112,9 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             rows.append(("within map coverage", "none"))
         rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
-    rows += [(f"  {reason}", str(n)) for reason, n in _grouped(summary["reasons"])]
-    rows.append(("time per query, median", number(summary["ms"]["total"], "ms", 1)))
+    rows += [(f"  {reason}", str(n)) for reason, n in _group(summary["reasons"])]
+    by_clock, spent = (number(summary["ms"][key], "ms", 1) for key in ("total", PROCESSOR))
+    rows.append(("time per query, median", f"{by_clock}, processor {spent}"))
     return rows
 
 
@@ -127,7 +128,7 @@ def error_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _grouped(reasons: Mapping[str, int]) -> list[tuple[str, int]]:
+def _group(reasons: Mapping[str, int]) -> list[tuple[str, int]]:
     """Count reasons without the numbers in brackets, the most frequent first."""
     counts = Counter[str]()
     for reason, count in reasons.items():

@@ -6,6 +6,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TypeAlias
 
@@ -25,6 +26,7 @@ from ...system.stage_times import Clock, StageTimes
 from ...tiles import localizer_in, open_map
 from ...types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 from ..datasets.fixes import Fixes
+from .score import PROCESSOR
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One prior for all queries, one per query, or none."""
@@ -56,7 +58,7 @@ def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
     breaks = np.flatnonzero(steps > max_gap_m) + 1
     chosen = []
     for part in np.split(known, breaks):
-        distance = geometry.travelled(poses[part])
+        distance = geometry.distance_travelled(poses[part])
         if len(part):
             chosen.append(part[geometry.stations(distance, every_m, every_m)])
     return np.concatenate(chosen, dtype=np.int64) if chosen else np.empty(0, np.int64)
@@ -72,7 +74,8 @@ def localize_sequence(
     """Localize the scans at some positions of a recording, each independently.
 
     If the recording has poses, a query accumulates the scans before it; otherwise it is a single
-    scan. A prior applies to all queries, or there is one (or None) per query.
+    scan. A prior applies to all queries, or there is one (or None) per query. The times of a result
+    hold the processor time of the query, too: that of all threads of this process.
 
     Raises
     ------
@@ -82,11 +85,15 @@ def localize_sequence(
     results: list[Localization] = []
     sequence = as_recording(scans)
     clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
+    begun = time.process_time()
     for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
         query = localizer.describe(cloud, times)
-        results.append(localizer.locate(query, times, near=prior))
+        result = localizer.locate(query, times, near=prior)
+        spent_ms = 1e3 * (time.process_time() - begun)
+        results.append(replace(result, times_ms={**result.times_ms, PROCESSOR: spent_ms}))
         if progress:
             progress(len(results), len(positions))
+        begun = time.process_time()
     return results
 
 
@@ -130,12 +137,12 @@ def query_clouds(
 
 
 @lru_cache(maxsize=2)
-def _opened(where: str, config: Config, run: str) -> Localizer:
+def _open(where: str, config: Config, run: str) -> Localizer:
     """Open a map once per process and run, since maps may be replaced between runs."""
     return localizer_in(open_map(where), config)
 
 
-def _localized(
+def _localize(
     where: str,
     config: Config,
     run: str,
@@ -144,7 +151,7 @@ def _localized(
 ) -> list[Localization]:
     """Localize some queries of a recording, in any process; can be repeated."""
     positions, near = part
-    return localize_sequence(_opened(where, config, run), recording, positions, near=near)
+    return localize_sequence(_open(where, config, run), recording, positions, near=near)
 
 
 def localize_parts(
@@ -178,7 +185,7 @@ def localize_parts(
         As localizing does; and if a process was killed and its tasks cannot be repeated.
     """
     single = config.model_copy(update={"threads": 1})
-    localized = partial(_localized, where, single, uuid.uuid4().hex, recording)
+    localized = partial(_localize, where, single, uuid.uuid4().hex, recording)
     chunks = np.array_split(positions, max(1, -(-len(positions) // QUERIES)))
     priors, parts, done = each_prior(near, len(positions)), [], 0
     for chunk in chunks:

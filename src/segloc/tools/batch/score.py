@@ -27,6 +27,9 @@ SURROUNDED_M = 20.0
 PATH_BREAK_M = 35.0
 """Poses of a map's trajectory farther apart are not connected [m]."""
 
+PROCESSOR = "processor"
+"""Key of the processor time of a query, among its times by the clock."""
+
 STAGES = (
     "gathering",
     "segmentation",
@@ -37,6 +40,7 @@ STAGES = (
     "pose",
     "verification",
     "total",
+    PROCESSOR,
 )
 _PATH_STEP_M = 0.5
 _CELL_M, _MAX_CELLS = 1.0, 16e6  # of the space that a finished cloud covers
@@ -71,7 +75,8 @@ RECORD = {
     "correct": "with `--truth`: within the tolerance",
     "distance_to_map_m": "with `--truth`: horizontal distance of the true position from the mapped "
     "trajectory; in a map of a finished cloud, from its surfaces and gaps between them up to 20 m",
-    "ms": "milliseconds of each stage, and `total`",
+    "ms": "milliseconds of each stage and their `total` by the clock; `processor`: processor time "
+    "of the query, which other programs do not lengthen",
 }
 """Keys of a line of ``localizations.jsonl`` and their meaning."""
 SUMMARY = {
@@ -85,7 +90,8 @@ SUMMARY = {
     "false": "with `--truth`: localized and not correct; else null",
     "translation_error_m": "`median` and `p95` over the localized queries",
     "rotation_error_deg": "the same in degrees",
-    "ms": "median milliseconds of each stage",
+    "ms": "median milliseconds of each stage, and `total`, by the clock; `processor`: median "
+    "processor time",
     "reasons": "count of each reason",
     "within_coverage": "with `--truth`: queries within map coverage (`distance_to_map_m` up to 3)",
     "within_coverage_correct": "with `--truth`: correct ones within map coverage",
@@ -161,12 +167,12 @@ def distances_to_map(poses: Float64, prior_map: SegmentMap) -> Float64:
     points = prior_map.cloud if len(prior_map.cloud) else prior_map.centroids - prior_map.origin
     if CLOUD not in prior_map.metadata.get(SOURCE, "") or not len(points):
         return distances_to_path(poses, prior_map.trajectory)
-    places = _surrounded(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
+    places = _surround(points[:, :2].astype(np.float64)) + prior_map.origin[:2]
     distances, _ = cKDTree(places).query(poses[:, :2, 3])
     return np.asarray(distances, dtype=np.float64)
 
 
-def _surrounded(points: Float64) -> Float64:
+def _surround(points: Float64) -> Float64:
     """Return the middle of cells with points (N, 2), and of those between them."""
     low, reach = points.min(axis=0), SURROUNDED_M / 2
     edge = max(_CELL_M, math.sqrt(float(np.prod(np.ptp(points, axis=0) + 4 * reach)) / _MAX_CELLS))
@@ -296,8 +302,8 @@ def _record(result: Localization) -> dict[str, Any]:
         "localized": result.localized,
         "reason": None if result.reason is None else result.reason.value,
         "message": result.message,
-        "T_map_sensor": _nested(result.T_map_sensor),
-        "covariance": _rounded(result.covariance),
+        "T_map_sensor": _as_lists(result.T_map_sensor),
+        "covariance": _as_short_lists(result.covariance),
         "attitude": result.attitude,
         "inliers": result.inliers,
         "overlap": _finite(result.overlap),
@@ -307,7 +313,7 @@ def _record(result: Localization) -> dict[str, Any]:
         "confidence": _finite(result.confidence),
         "places": [
             {
-                "T_map_sensor": _nested(place.T_map_sensor),
+                "T_map_sensor": _as_lists(place.T_map_sensor),
                 "probability": _finite(place.probability),
                 "inliers": place.inliers,
                 "overlap": _finite(place.overlap),
@@ -319,11 +325,11 @@ def _record(result: Localization) -> dict[str, Any]:
     }
 
 
-def _nested(matrix: Float64 | None) -> list[list[float]] | None:
+def _as_lists(matrix: Float64 | None) -> list[list[float]] | None:
     return None if matrix is None else np.asarray(matrix, dtype=np.float64).tolist()
 
 
-def _rounded(matrix: Float64 | None) -> list[list[float]] | None:
+def _as_short_lists(matrix: Float64 | None) -> list[list[float]] | None:
     """Return rows of numbers of six digits, each row a short line."""
     if matrix is None:
         return None

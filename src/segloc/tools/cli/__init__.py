@@ -28,7 +28,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _asked() -> str | None:
+def _requested_verb() -> str | None:
     """Return the verb on the command line, or ``VERSION``; None during shell completion."""
     words = sys.argv[1:]
     if not words or "_SEGLOC_COMPLETE" in os.environ:
@@ -44,7 +44,7 @@ def main() -> None:
     # At the end, Ctrl-C would kill Python without a message while it cleans up.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
-        program(_asked())()
+        program(_requested_verb())()
     except KeyboardInterrupt:
         _end_interrupted()
     except SystemExit as end:

@@ -55,14 +55,14 @@ def align(
     others stay separate. If the first argument is a map (a .segmap file, or tiles), sessions are
     aligned to it instead, and one that does not meet it is rejected.
     """
-    from ...config import validated
+    from ...config import validate
     from ...loops import AlignConfig, Reposed, align_sessions
     from ...system.processes import executing
     from ..inspect.alignment import summary
     from .recording import open_recordings
     from .results import check_folder
 
-    def opened(paths: list[Path], chosen: Config) -> list[Sequence]:
+    def open_sessions(paths: list[Path], chosen: Config) -> list[Sequence]:
         mount = chosen.local_cloud.mount
         found = open_recordings(
             paths, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -72,16 +72,16 @@ def align(
         return recordings
 
     check_folder(out)
-    settings = validated(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
+    settings = validate(AlignConfig, {"every_m": every, "min_support": min_support}, "alignment")
     if _is_map(sequences[0]):
         if workers != 1 or cluster is not None:
             raise ConfigError("--workers and --cluster do not apply to a map: omit them")
-        _into_map(sequences, out, opened, settings, (config, method, threads))
+        _into_map(sequences, out, open_sessions, settings, (config, method, threads))
         return
     chosen = options.load_config(config, method, threads)
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
-    recordings = opened(sequences, chosen)
+    recordings = open_sessions(sequences, chosen)
     with executing(workers, cluster) as executor:
         shared = out.absolute().parent
         alignment = align_sessions(
@@ -119,7 +119,7 @@ def _check(paths: list[Path], recordings: list[Sequence]) -> None:
 def _into_map(
     paths: list[Path],
     out: Path,
-    opened: Callable[[list[Path], Config], list[Sequence]],
+    open_sessions: Callable[[list[Path], Config], list[Sequence]],
     settings: AlignConfig,
     chosen: tuple[Path | None, str | None, int],
 ) -> None:
@@ -133,11 +133,11 @@ def _into_map(
     if not sequences:
         raise ConfigError(f"{where} is a map: pass the sessions to align after it")
     prior_map = open_map(where)
-    described = options.described(prior_map)
+    described = options.description_of(prior_map)
     if method not in (None, described.descriptor):
         raise MapMismatch(f"{where} has descriptor {described.descriptor!r}, not {method!r}")
     configured = options.map_settings(described, config, threads)
-    recordings = opened(sequences, configured)
+    recordings = open_sessions(sequences, configured)
     alignment = align_to_map(prior_map, recordings, configured, settings, progress)
     facts = summary_to_map(alignment)
     _write_poses(out, alignment, settings, facts)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...system.text import counted
+from ...system.text import quantity
 from . import options
 from .console import busy
 
@@ -36,9 +36,9 @@ def doctor(
 
     if html is not None:
         checked_target(html)
-    recording, found = examined(sequence, poses, select, topic, sample, config)
+    recording, found = examine_recording(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
-    scans = counted(len(recording), "scans")
+    scans = quantity(len(recording), "scans")
     print(f"{recording.name}: {scans}, {facts.sensor}, poses: {facts.poses}")
     show_findings(found)
     if poses is None:
@@ -56,7 +56,7 @@ def doctor(
     print("no problems found")
 
 
-def examined(
+def examine_recording(
     sequence: Path,
     poses: Path | None,
     select: str | None,

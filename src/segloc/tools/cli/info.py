@@ -21,9 +21,9 @@ def info(
     config: options.ConfigFile = None,
 ) -> None:
     """Show facts about a recording, and its problems."""
-    from .doctor import examined, show_pose_files
+    from .doctor import examine_recording, show_pose_files
 
-    recording, found = examined(sequence, poses, select, topic, sample, config)
+    recording, found = examine_recording(sequence, poses, select, topic, sample, config)
     show(recording, found)
     if poses is None:
         show_pose_files(sequence, recording)

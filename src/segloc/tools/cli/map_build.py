@@ -70,7 +70,7 @@ def build(
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
     mount = settings.local_cloud.mount
-    recordings = _posed(
+    recordings = _with_poses(
         sequences,
         open_recordings(
             sequences, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
@@ -117,7 +117,7 @@ def _build(
         )
 
 
-def _posed(paths: list[Path], recordings: Iterator[Sequence]) -> list[Sequence]:
+def _with_poses(paths: list[Path], recordings: Iterator[Sequence]) -> list[Sequence]:
     """Return recordings that can be mapped: scans with poses."""
     from ...system.files import is_cloud
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...system.text import counted
+from ...system.text import quantity
 from . import options
 from .console import note, progress
 
@@ -78,7 +78,7 @@ def from_cloud(
     points = sum(counts.values())
     at_once = max((n for file, n in counts.items() if file.suffix.lower() in WHOLE), default=0)
     if work := expected_work(points, at_once):
-        told = counted(len(files), "files")
+        told = quantity(len(files), "files")
         note(f"{points / 1e6:.1f} million points in {told} by their headers: {work}")
     with progress("Reading and mapping the cloud") as update:
         prior_map = build_from_cloud(

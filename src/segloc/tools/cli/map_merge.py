@@ -47,7 +47,7 @@ def merge(
         return
     paths = [Path(path) for path in maps]
     with writing(Path(out)):
-        prior_map = _merged([SegmentMap.load(path) for path in paths], paths, elsewhere, unchecked)
+        prior_map = _merge([SegmentMap.load(path) for path in paths], paths, elsewhere, unchecked)
         with busy("Merging"):
             prior_map = compacted(prior_map, map_config(prior_map).mapping.compact)
             prior_map.save(out)
@@ -73,7 +73,7 @@ def _into_tiles(where: str, paths: list[Path], out: str, elsewhere: bool, unchec
     table(where, ("", ""), rows)
 
 
-def _merged(
+def _merge(
     maps: list[SegmentMap], paths: list[Path], elsewhere: bool, unchecked: bool
 ) -> SegmentMap:
     """Merge maps in an order in which each meets an earlier one, if possible."""

@@ -84,20 +84,20 @@ def update(
 
     remedy = _remedy(prior_map, sequence, poses, select, topic, align)
 
-    def opened(where: SegmentMap | TiledMap) -> tuple[Config, Scans, Shift | None]:
+    def open_session(where: SegmentMap | TiledMap) -> tuple[Config, Scans, Shift | None]:
         """Return the settings of a map, and the session in its frame with its shift."""
         chosen = options.map_settings(where, config, threads, weights)
         mount = chosen.local_cloud.mount
         recording = open_recording(
             sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
         )
-        session = _aligned(recording, where, chosen) if align else recording
+        session = _align(recording, where, chosen) if align else recording
         shift = None if unchecked else checked_shift(where, session, sequence, remedy, chosen)
         return chosen, session, shift
 
     write = _update_tiles if holds_tiles(prior_map) else _update_map
     insists = {"elsewhere": elsewhere, "unchecked": unchecked}
-    table(out, ("", ""), write(prior_map, out, opened, settings, insists))
+    table(out, ("", ""), write(prior_map, out, open_session, settings, insists))
 
 
 def _remedy(
@@ -116,7 +116,7 @@ def _remedy(
     return f"{command} brings them into its frame, as --align here does"
 
 
-def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> Scans:
+def _align(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> Scans:
     """Return a session with poses in the frame of a map."""
     from ...loops import align_to_map
     from ...types import Reposed
@@ -130,7 +130,7 @@ def _aligned(recording: Scans, where: SegmentMap | TiledMap, config: Config) -> 
 
 
 def _update_map(
-    prior_map: str, out: str, opened: Opened, settings: UpdateConfig, insists: dict[str, bool]
+    prior_map: str, out: str, open_session: Opened, settings: UpdateConfig, insists: dict[str, bool]
 ) -> list[tuple[str, str]]:
     """Update a map file; return rows on what was done."""
     from ...joining.update import update_map
@@ -140,7 +140,7 @@ def _update_map(
     target = Path(out)
     with writing(target):
         prior = SegmentMap.load(Path(prior_map))
-        config, recording, shift = opened(prior)
+        config, recording, shift = open_session(prior)
         with progress("Updating the map") as bar:
             updated, counts = update_map(
                 prior, recording, config, settings, bar, shift=shift, **insists
@@ -151,13 +151,13 @@ def _update_map(
 
 
 def _update_tiles(
-    where: str, out: str, opened: Opened, settings: UpdateConfig, insists: dict[str, bool]
+    where: str, out: str, open_session: Opened, settings: UpdateConfig, insists: dict[str, bool]
 ) -> list[tuple[str, str]]:
     """Update tiles in place; return rows on what was done."""
     from ...tiles import TiledMap, update_tiles
 
     check_same_tiles(where, out)
-    config, recording, shift = opened(TiledMap(where))
+    config, recording, shift = open_session(TiledMap(where))
     with progress("Updating the tiles") as bar:
         changed, counts = update_tiles(
             where, recording, config, settings, bar, shift=shift, **insists

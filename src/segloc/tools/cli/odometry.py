@@ -41,7 +41,7 @@ def odometry(
     )
     with progress("Odometry") as update:
         poses = compute_odometry(recording, file, update).poses
-    travelled = geometry.travelled(poses)[-1]
+    travelled = geometry.distance_travelled(poses)[-1]
     apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
     rows = [
         ("scans", str(len(poses))),

@@ -222,7 +222,7 @@ def load_config(
     return _with(Config.load(path, method), threads, weights)
 
 
-def described(prior_map: SegmentMap | TiledMap) -> SegmentMap:
+def description_of(prior_map: SegmentMap | TiledMap) -> SegmentMap:
     """Return the map, or of tiles the thin one."""
     from ...map.segment_map import SegmentMap
 
@@ -235,7 +235,7 @@ def map_settings(
     """Return the configuration in a file, or else the map's own."""
     from ...config import Config, map_config
 
-    whole = described(prior_map)
+    whole = description_of(prior_map)
     config = map_config(whole) if path is None else Config.load(path, whole.descriptor)
     if weights is None and config.weights is not None and not config.weights.exists():
         raise ConfigError(

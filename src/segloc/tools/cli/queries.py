@@ -146,7 +146,7 @@ def show_results(
             evaluation.results,
             localizer.config.local_cloud,
             prior_map=localizer.prior_map,
-            known=_excluded(queries, evaluation.results),
+            known=_describe_excluded(queries, evaluation.results),
         )
     if line:
         note(line)
@@ -171,7 +171,7 @@ def _show_answers(evaluation: Evaluation, title: str) -> None:
         table(title, ("", ""), report.summary_rows(evaluation.summary()))
 
 
-def _excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
+def _describe_excluded(queries: Queries, results: Sequence[Localization]) -> str | None:
     """Describe where the first query that a prior excludes is found without the prior."""
     priors = run.each_prior(queries.near, len(results))
     excluded = [i for i, each in enumerate(results) if each.reason is Reason.NOT_NEAR_PRIOR]

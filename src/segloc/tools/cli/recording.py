@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import ConfigError, DatasetError
 from ...frontend.local_cloud import LocalCloudConfig
 from ...frontend.mounting import MountConfig
-from ...frontend.tilt import frame_tilt, levelled
+from ...frontend.tilt import frame_tilt, level_recording
 from ...types import Float64, Pose, Recording
 from ..datasets import NO_POSES, Sequence, open_sequence, poses_at
 from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
@@ -164,7 +164,7 @@ def levelled_poses(recording: Recording, config: LocalCloudConfig, level: bool) 
     if level:
         if tilt is not None:
             note(f"poses turned by {tilt.tilt_deg:.1f} degrees about the first, so that z is up")
-        return levelled(recording, tilt)[0]
+        return level_recording(recording, tilt)[0]
     if tilt is not None and tilt.is_significant:
         note(f"the poses' z axis is {tilt.tilt_deg:.1f} degrees off vertical: --level corrects it")
     return recording

@@ -10,7 +10,7 @@ from ...errors import DatasetError
 from ...types import Float64, Pose
 from ...types import Recording as Recording
 from .loaders import folder
-from .recorded import Found, assembled
+from .recorded import Found, assemble
 from .recorded import RecordedSequence as RecordedSequence
 from .recorded import Selection as Selection
 from .recorded import Sequence as Sequence
@@ -66,8 +66,8 @@ def open_sequence(
         selection = parse_select(select) if isinstance(select, str) else select
         own_poses = str(poses) != NO_POSES
         file = _find_poses(Path(poses), where) if poses is not None and own_poses else None
-        found = _found(where, file, topic)
-        return assembled(found, file, selection, own_poses, deskew, T_base_sensor)
+        found = _find(where, file, topic)
+        return assemble(found, file, selection, own_poses, deskew, T_base_sensor)
     except DatasetError as error:
         text = str(error)
         if any(str(file) in text for file in (where, poses) if file is not None):
@@ -80,7 +80,7 @@ def open_sequence(
         raise DatasetError(f"{error.filename or where}: cannot read: {reason}") from error
 
 
-def _found(where: Path, poses: Path | None, topic: str | None) -> Found:
+def _find(where: Path, poses: Path | None, topic: str | None) -> Found:
     from .formats import identify
 
     known = identify(where)

@@ -114,11 +114,11 @@ def time_unit(samples: Sequence[tuple[Float64, float]], period_s: float | None) 
         return TimeUnit()
     limit = max(_MAX_SHARE * span, _MAX_SHARE * (period_s or 0.0), _SAME_CLOCK_S)
     if np.abs(times).max() > limit and span <= _MAX_SHARE:
-        return _refused(f"point times of {times.max():g} s are on another clock than the stamps")
+        return _refuse(f"point times of {times.max():g} s are on another clock than the stamps")
     if period_s is None:
         if _SWEEP_S[0] <= span <= _SWEEP_S[1]:
             return TimeUnit()
-        return _refused(f"point times span {span:.4g} s as read, of a single scan: unit unknown")
+        return _refuse(f"point times span {span:.4g} s as read, of a single scan: unit unknown")
     return _relative(float(times.min()), float(times.max()), span, period_s)
 
 
@@ -143,16 +143,16 @@ class StreamTimes:
         """Convert the times of a scan, as read, or drop them; changes the scan."""
         if scan.times is None or not len(scan.times):
             return scan
-        unit = self._unit or self._recognised(scan.times, stamp)
+        unit = self._unit or self._recognise(scan.times, stamp)
         scan = unit.apply(scan, stamp)
         if scan.times is not None and not times_fit(scan):
             off = float(np.abs(scan.times).max())
-            unit = _refused(f"point times are {off:.3g} s off their scans' stamps")
+            unit = _refuse(f"point times are {off:.3g} s off their scans' stamps")
             scan.times, self._unit = None, None
         self.note = unit.note
         return scan
 
-    def _recognised(self, times: Float64, stamp: float) -> TimeUnit:
+    def _recognise(self, times: Float64, stamp: float) -> TimeUnit:
         """Return the unit by the latest scans; it is kept once it is known by enough of them."""
         step = 1 + len(times) // _MAX_SAMPLE
         ends = np.array([times.min(), times.max()])
@@ -171,10 +171,10 @@ def _absolute(
     """Unit of times since 1970."""
     times = samples[0][0]
     if factor == 1.0 and (times == times.astype(np.float32)).all():
-        return _refused("point times since 1970 are rounded to 128 s in float32")
+        return _refuse("point times since 1970 are rounded to 128 s in float32")
     off = max(float(np.abs(times * factor - stamp).max()) for times, stamp in samples)
     if off > max(_SAME_CLOCK_S, _MAX_SHARE * (period_s or 0.0)):
-        return _refused(f"point times are {off:.3g} s off their scans' stamps")
+        return _refuse(f"point times are {off:.3g} s off their scans' stamps")
     note = (
         "" if factor in (1.0, 1e-9) else f"point times multiplied by {factor:g}: seconds since 1970"
     )
@@ -191,7 +191,7 @@ def _relative(low: float, high: float, span: float, period_s: float) -> TimeUnit
             note = f"point times run from 0 to 1: taken as fractions of a turn of {period_s:.3g} s"
             return TimeUnit(period_s, note=note)
         if not seconds or period_s > 1.1:
-            return _refused(
+            return _refuse(
                 f"point times run from 0 to 1, and scans are {period_s:.3g} s apart: seconds, or "
                 "fractions of a turn"
             )
@@ -201,8 +201,8 @@ def _relative(low: float, high: float, span: float, period_s: float) -> TimeUnit
         shares = [span * factor / period for period in (period_s, min(period_s, _USUAL_S))]
         if any(_MIN_OTHER <= share <= _MAX_SHARE for share in shares):
             return TimeUnit(factor, note=f"{text}: multiplied by {factor:g}")
-    return _refused(text)
+    return _refuse(text)
 
 
-def _refused(why: str) -> TimeUnit:
+def _refuse(why: str) -> TimeUnit:
     return TimeUnit(known=False, note=f"{why}: point times left out, scans not de-skewed")

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import DatasetError
 from ...types import Float64
-from .ros.bag_file import fullest_topics, messages_of, opened, seconds
+from .ros.bag_file import fullest_topics, messages_of, open_bag, seconds
 
 _FIX = "sensor_msgs/msg/NavSatFix"
 _NO_FIX, _UNKNOWN = -1, 0
@@ -61,7 +61,7 @@ def read_fixes(path: str | Path, topic: str | None = None) -> Fixes:
     paths = bag_paths(Path(path))
     if not paths:
         raise DatasetError(f"{path}: not a bag; GNSS fixes are read from bags")
-    with opened(paths) as reader:
+    with open_bag(paths) as reader:
         topics = fullest_topics(reader, _FIX)
         if not topics or (topic is not None and topic not in topics):
             listed = ", ".join(topics) or "none"

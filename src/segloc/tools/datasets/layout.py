@@ -32,7 +32,9 @@ def float_rows(data: bytes, width: int) -> Float32:
     return np.asarray(rows_of(data, "<f4", width), dtype=np.float32)
 
 
-def returned(points: NDArray[np.floating], times: NDArray[np.floating] | None = None) -> Scan:
+def drop_missing_returns(
+    points: NDArray[np.floating], times: NDArray[np.floating] | None = None
+) -> Scan:
     """Return a scan without the zeros that stand for firings without a return."""
     hit = (points[:, :3] != 0).any(axis=1)
     if hit.all():
@@ -42,7 +44,7 @@ def returned(points: NDArray[np.floating], times: NDArray[np.floating] | None = 
 
 def parse_float4(data: bytes) -> Scan:
     """Parse rows of float32: x, y, z, reflectance."""
-    return returned(float_rows(data, 4))
+    return drop_missing_returns(float_rows(data, 4))
 
 
 def column_times(count: int) -> Float64 | None:

@@ -73,7 +73,7 @@ def _parse_range(part: str, text: str) -> tuple[int, int | None]:
     return first, last
 
 
-def assembled(
+def assemble(
     found: Found,
     poses: Path | None,
     selection: Selection | None,
@@ -96,7 +96,7 @@ def assembled(
     """
     if not len(found.indices):
         raise DatasetError(f"{found.name}: {found.format} without scans")
-    track, at_scans, stamps, pose_notes = _posed(found, poses, own_poses, T_base_sensor)
+    track, at_scans, stamps, pose_notes = _track_and_poses(found, poses, own_poses, T_base_sensor)
     notes, motion = [*found.notes, *pose_notes], None
     if track is not None and deskew and track.clock == "seconds" and len(track.keys) > 1:
         motion = Motion(track.keys, track.poses)
@@ -123,7 +123,7 @@ def assembled(
     return replace(sequence.part(known), notes=(*notes, f"{lost}; {used}"))
 
 
-def _posed(
+def _track_and_poses(
     found: Found, poses: Path | None, own_poses: bool, T_base_sensor: Pose | None
 ) -> tuple[Track | None, Float64 | None, Float64 | None, list[str]]:
     """Return the sensor's track, its poses at the scans, the scans' stamps, and notes."""

@@ -30,10 +30,10 @@ def stand_still(found: Found, body: Track) -> bool:
     for first, second in _pairs(poses[known, :3, 3]):
         i, j = int(known[first]), int(known[second])
         try:
-            target, source = _thinned(found.source.read(i).points), found.source.read(j).points
+            target, source = _thin(found.source.read(i).points), found.source.read(j).points
         except SeglocError:
             continue  # reported when the scan is read
-        source = _thinned(source)
+        source = _thin(source)
         if min(len(target), len(source)) >= _MIN_POINTS:
             shares.append(_shares(target, source, geometry.inverse(poses[i]) @ poses[j]))
     if not shares:
@@ -52,7 +52,7 @@ def _pairs(positions: Float64) -> list[tuple[int, int]]:
     return [pairs[k] for k in geometry.spread(len(pairs), _PAIRS)]
 
 
-def _thinned(points: Float32) -> Float32:
+def _thin(points: Float32) -> Float32:
     return _native.voxel_grid(np.ascontiguousarray(points), _VOXEL_M)
 
 

@@ -12,7 +12,7 @@ from .recording import first_fault as first_fault
 from .recording import hint as hint
 from .recording import map_finding as map_finding
 from .recording import require_mappable as require_mappable
-from .recording import sampled as sampled
+from .recording import sample_scans as sample_scans
 from .revisits import revisit_findings as revisit_findings
 from .revisits import session_findings as session_findings
 from .scan_faults import scan_findings as scan_findings

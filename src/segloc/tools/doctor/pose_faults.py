@@ -42,21 +42,21 @@ def _of_camera(poses: Float64) -> Float64:
     return np.asarray(poses @ _T_CAMERA_SENSOR)  # for any axes of the world
 
 
-def _turned(R: Float64) -> Callable[[Float64], Float64]:
+def _turn(R: Float64) -> Callable[[Float64], Float64]:
     """Read poses as of scans whose points were turned by R; indoors a ceiling may be the floor."""
     T = np.eye(4)
     T[:3, :3] = R.T
     return lambda poses: np.asarray(poses @ T)
 
 
-def _scaled(factor: float) -> Callable[[Float64], Float64]:
+def _scale(factor: float) -> Callable[[Float64], Float64]:
     """Read poses as of points in another unit."""
     scale = np.ones((4, 4))
     scale[:3, 3] = factor
     return lambda poses: np.asarray(poses * scale)
 
 
-def _mirrored(poses: Float64) -> Float64:
+def _mirror(poses: Float64) -> Float64:
     """Read poses as of scans with mirrored y."""
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     return np.asarray(mirror @ poses @ mirror)
@@ -98,25 +98,25 @@ READINGS = (
     ),
     Reading(
         Fault.POSES_IN_MILLIMETRES,
-        _scaled(1e-3),
+        _scale(1e-3),
         "the poses are in millimetres",
         "divide their positions by 1000",
     ),
     Reading(
         Fault.FEET,
-        _scaled(1.0 / _FOOT_M),
+        _scale(1.0 / _FOOT_M),
         "the points are in feet",
         f"multiply them by {_FOOT_M}",
     ),
     Reading(
         Fault.FEET,
-        _scaled(_FOOT_M),
+        _scale(_FOOT_M),
         "the poses are in feet",
         f"multiply their positions by {_FOOT_M}",
     ),
     Reading(
         Fault.MIRRORED,
-        _mirrored,
+        _mirror,
         "the y axis of the points is mirrored",
         "change the sign of y",
     ),
@@ -128,20 +128,20 @@ READINGS = (
     ),
     Reading(
         Fault.Z_DOWN,
-        _turned(np.diag([1.0, -1.0, -1.0])),
+        _turn(np.diag([1.0, -1.0, -1.0])),
         "the z axis of the points points down",
         "change the signs of y and z",
     ),
     Reading(
         Fault.CAMERA_AXES,
-        _turned(_T_CAMERA_SENSOR[:3, :3]),
+        _turn(_T_CAMERA_SENSOR[:3, :3]),
         "the axes of the points are a camera's (x right, y down, z forward)",
         "write z, -x, -y in place of x, y, z",
     ),
     *(
         Reading(
             Fault.TILT,
-            _turned(Rotation.from_euler(axis, degrees, degrees=True).as_matrix()),
+            _turn(Rotation.from_euler(axis, degrees, degrees=True).as_matrix()),
             "the sensor lies on its side",
             "name how it is mounted, `local_cloud: {mount: ...}`",
         )
@@ -195,7 +195,7 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
     config : LocalCloudConfig, optional
         Mount of the sensor.
     """
-    fits = measured(recording, config)
+    fits = measure_pairs(recording, config)
     if len(fits) < _MIN_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
@@ -234,7 +234,7 @@ def _smear(fits: list[Fit]) -> list[Finding]:
     return [Finding(Fault.POSES_OFF, what, remedy)]
 
 
-def measured(recording: Recording, config: LocalCloudConfig | None = None) -> list[Fit]:
+def measure_pairs(recording: Recording, config: LocalCloudConfig | None = None) -> list[Fit]:
     """Measure the agreement of pairs of neighbouring clouds, where comparable."""
     poses = recording.poses
     if poses is None or len(poses) < 2:
@@ -296,7 +296,7 @@ def _pairs(poses: Float64, unit: float, most_deg: float) -> list[tuple[int, int]
     Two scans share their view if they are turned by at most ``most_deg`` against each other. Where
     the sensor turns by more within ``_APART_M``, closer scans are used.
     """
-    path = geometry.travelled(poses) / unit
+    path = geometry.distance_travelled(poses) / unit
     ends = np.searchsorted(path, path + _APART_M)
     ends = np.minimum(ends, np.arange(len(path)) + _MAX_SCANS_APART)
     starts = np.flatnonzero(ends < len(path))

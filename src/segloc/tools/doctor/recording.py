@@ -18,7 +18,7 @@ from ...frontend.tilt import MIN_TILT_DEG, frame_tilt
 from ...localization import Localization
 from ...localizer import Localizer
 from ...map.segment_map import SegmentMap
-from ...system.text import counted, number
+from ...system.text import number, quantity
 from ...types import Float32, Recording, Scan, Scanned, as_recording
 from ..datasets import RecordedSequence
 from ..datasets.inspection import UNUSABLE, Inspection, inspect
@@ -63,7 +63,7 @@ def _attitude_of(recording: Recording, config: LocalCloudConfig, sample: int) ->
 
 def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> _Attitude:
     accumulator, sources, off = Accumulator(config), Counter[str](), []
-    for scan in sampled(recording, sample):
+    for scan in sample_scans(recording, sample):
         cloud = accumulator.gather(scan)
         sources["gravity" if cloud.attitude == "given" else cloud.attitude] += 1
         if cloud.attitude != "assumed":
@@ -76,7 +76,7 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> _A
     text = f"{counts}; tilt {middle:.1f} deg, at most {most:.1f}"
     findings = []
     if most > 2 * MIN_TILT_DEG:
-        findings.append(_tilted(np.array([up for up, _ in off]), middle, most))
+        findings.append(_tilt_finding(np.array([up for up, _ in off]), middle, most))
     if sources["assumed"]:
         what = (
             f"{sources['assumed']} of {sources.total()} scans show too little of floors and walls "
@@ -86,7 +86,7 @@ def _of_scans(recording: Recording, config: LocalCloudConfig, sample: int) -> _A
     return text, findings
 
 
-def _tilted(ups: np.ndarray, middle: float, most: float) -> Finding:
+def _tilt_finding(ups: np.ndarray, middle: float, most: float) -> Finding:
     """Return the finding on a sensor that sways, or is mounted at an angle."""
     what = f"scans are tilted by {middle:.1f} degrees in the median, {most:.1f} at most"
     mean = ups.mean(axis=0)
@@ -135,7 +135,7 @@ def examine(
     config = config or LocalCloudConfig()
     facts = inspect(recording, sample)
     posed = recording.poses is not None
-    scans = sampled(recording, sample)
+    scans = sample_scans(recording, sample)
     seen = scan_findings(scans, config, posed=posed)
     misframed = any(finding.fault in _FRAME_FAULTS for finding in seen)
     # Beams cannot be examined in a wrong frame.
@@ -204,7 +204,7 @@ def first_fault(
 
     Faster than :func:`examine`: uses ``sample`` scans and the poses alone.
     """
-    return next(iter(_first(recording, sampled(recording, sample), config)), None)
+    return next(iter(_first(recording, sample_scans(recording, sample), config)), None)
 
 
 def _first(
@@ -250,7 +250,7 @@ def require_mappable(
     raise DatasetError(f"{name}: {finding}; {insist} builds the map anyway")
 
 
-def sampled(recording: Recording, count: int) -> list[Scan]:
+def sample_scans(recording: Recording, count: int) -> list[Scan]:
     """Return readable scans spread over a recording."""
     scans = []
     for i in geometry.spread(len(recording), count):
@@ -291,7 +291,7 @@ def hint(
     found = sum(result.localized for result in results)
     if found > _MAX_LOCALIZED * len(results):
         return None
-    failed = f"{len(results) - found} of {counted(len(results), 'queries')} failed."
+    failed = f"{len(results) - found} of {quantity(len(results), 'queries')} failed."
     cause = known or _cause(scans, config, prior_map)
     if cause is not None:
         return f"{failed} Likely cause: {cause}"
@@ -309,7 +309,7 @@ def _cause(
     """Describe the first problem of the scans, or else of them in the map, or else a remark."""
     try:
         recording = as_recording(scans)
-        some = sampled(recording, _SAMPLE)
+        some = sample_scans(recording, _SAMPLE)
         found = _first(recording, some, config)
     except SeglocError:
         return None
@@ -346,7 +346,7 @@ def map_finding(
     if ground and mapped is False:
         what = "no ground in the map, but in the scans"
         return Finding(Fault.NO_GROUND, what, "build the map from clouds with their ground")
-    return _inverted(clouds, prior_map)
+    return _find_inverted(clouds, prior_map)
 
 
 def _views(prior_map: SegmentMap) -> list[Float32]:
@@ -359,7 +359,7 @@ def _views(prior_map: SegmentMap) -> list[Float32]:
     return views
 
 
-def _inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding | None:
+def _find_inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding | None:
     """Detect scans that are localized upside down, if their own surfaces do not tell."""
     seen = [each for points in clouds if (each := Surfaces.of(points)) is not None]
     if not seen or ground_side(seen, sure=True) is not None:
@@ -372,7 +372,7 @@ def _inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding | Non
     found = [localizer.localize(points * _HALF_TURN).localized for points in few]
     if sum(found) <= len(few) / 2:
         return None
-    what = f"localized upside down: {sum(found)} of {counted(len(few), 'scans')}"
+    what = f"localized upside down: {sum(found)} of {quantity(len(few), 'scans')}"
     return Finding(Fault.Z_DOWN, f"{what}, so the z axis points down", Z_DOWN_REMEDY)
 
 
@@ -392,7 +392,7 @@ def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[s
         ("poses", found.poses),
         ("path", number(found.length_m, "m", 1)),
         ("roll and pitch", examination.attitude),
-        ("points per scan, median", f"{found.points} ({counted(found.sampled, 'scans')} read)"),
+        ("points per scan, median", f"{found.points} ({quantity(found.sampled, 'scans')} read)"),
         (f"points {UNUSABLE}", f"{100 * found.unusable:.2f} %"),
         ("points that are NaN", f"{100 * found.blank:.2f} %"),
         ("points for missing returns", f"{100 * found.missing_returns:.2f} %"),

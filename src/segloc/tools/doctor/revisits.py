@@ -64,7 +64,7 @@ class Stations:
         for k, recording in enumerate(recordings):
             path = recording.poses
             assert path is not None
-            travelled = geometry.travelled(path)
+            travelled = geometry.distance_travelled(path)
             chosen = geometry.stations(travelled, _EVERY_M)
             sessions.append(np.full(len(chosen), k, dtype=np.int64))
             scans.append(chosen)

@@ -146,7 +146,7 @@ def _axes(clouds: list[Float32], seen: Sequence[Surfaces]) -> Finding | None:
         return None  # a level sensor beside a wall
     if side == UP and (all(each.is_room() for each in seen) or any(map(looks_up, clouds))):
         return _CEILING
-    return _turned(side)
+    return _tilt_finding(side)
 
 
 def _beams_about(clouds: list[Float32]) -> Finding | None:
@@ -177,7 +177,7 @@ _CEILING = Finding(
 )
 
 
-def _turned(side: Side) -> Finding:
+def _tilt_finding(side: Side) -> Finding:
     axis, sign = "xyz"[side[0]], "-+"[side[1]]
     what = f"the ground lies towards {sign}{axis}"
     if side == UP:

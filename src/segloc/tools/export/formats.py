@@ -60,12 +60,12 @@ FORMATS = {
     "pcd": Format(
         (MapSource,),
         "the map's cloud, for PCL",
-        lambda s, out, _: _written(s.prior_map, out, format_pcd),
+        lambda s, out, _: _write(s.prior_map, out, format_pcd),
     ),
     "ply": Format(
         (MapSource,),
         "the map's cloud, for viewers",
-        lambda s, out, _: _written(s.prior_map, out, format_ply),
+        lambda s, out, _: _write(s.prior_map, out, format_ply),
     ),
     "laz": Format(
         (MapSource,), "the map's cloud, for GIS", lambda s, out, _: write_laz(s.prior_map, out)
@@ -166,7 +166,7 @@ def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]
     return notes
 
 
-def _written(prior_map: SegmentMap, out: Path, form: Callable[[Float32], bytes]) -> list[str]:
+def _write(prior_map: SegmentMap, out: Path, form: Callable[[Float32], bytes]) -> list[str]:
     points, notes = _near_origin(prior_map)
     with replacing(out) as stream:
         stream.write(form(points))
@@ -192,7 +192,7 @@ def _near_origin(prior_map: SegmentMap) -> tuple[Float32, list[str]]:
 
 def write_loops(source: AlignedSource, out: Path) -> list[str]:
     """Write the accepted loops, one JSON object per line."""
-    lines = [json.dumps(loop, allow_nan=False) + "\n" for loop in _accepted(source)]
+    lines = [json.dumps(loop, allow_nan=False) + "\n" for loop in _accepted_loops(source)]
     write_text(out, "".join(lines))
     return []
 
@@ -213,7 +213,7 @@ def write_g2o(source: AlignedSource, out: Path) -> list[str]:
     return []
 
 
-def _accepted(source: AlignedSource) -> list[dict[str, Any]]:
+def _accepted_loops(source: AlignedSource) -> list[dict[str, Any]]:
     return [loop for loop in source.loops() if loop.get("accepted") is True]
 
 
@@ -227,7 +227,7 @@ def _odometry(source: AlignedSource, session: int, first: int) -> PoseEdges:
 
 
 def _loops(source: AlignedSource, numbers: list[Float64], first: Int64) -> PoseEdges:
-    found = _accepted(source)
+    found = _accepted_loops(source)
     ends = {"target": np.empty(len(found), np.int64), "source": np.empty(len(found), np.int64)}
     T, covariance = np.empty((len(found), 4, 4)), np.empty((len(found), 6, 6))
     for n, loop in enumerate(found):

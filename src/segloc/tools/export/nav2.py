@@ -92,8 +92,8 @@ def _occupancy_grid(
         )
     obstacle = (heights >= options.low_m) & (heights <= options.high_m)
     floor = heights < min(options.low_m, _MAX_GROUND_M + voxel)
-    free = _marked(cells[floor], shape, _GROUND_REACH_M / edge)
-    occupied = _marked(cells[obstacle], shape, 0.5 * voxel / edge)
+    free = _mark(cells[floor], shape, _GROUND_REACH_M / edge)
+    occupied = _mark(cells[obstacle], shape, 0.5 * voxel / edge)
     grid = np.full(shape, UNKNOWN, np.uint8)
     grid[free] = FREE
     grid[occupied] = OCCUPIED
@@ -144,7 +144,7 @@ def _clear(grid: Grid, lines: Float64, options: GridOptions) -> None:
         window[np.einsum("ijk,ijk->ij", off, off) <= reach**2] = FREE
 
 
-def _marked(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
+def _mark(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDArray[np.bool_]:
     """Mark cells, and those within reach of them."""
     marked = np.zeros(shape, bool)
     marked[cells[:, 1], cells[:, 0]] = True

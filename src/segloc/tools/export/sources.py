@@ -43,7 +43,7 @@ class FoundSource:
     is_drive: bool  # True if of `segloc live`
     what = "results of `segloc localize` or `segloc live`"
 
-    def found(self) -> Iterator[dict[str, Any]]:
+    def answers(self) -> Iterator[dict[str, Any]]:
         """Read the records that have a pose: the pose as ``T``, the covariance as an array."""
         path = self.path / (_STATES if self.is_drive else _QUERIES)
         key = "T_map_base" if self.is_drive else "T_map_sensor"
@@ -91,7 +91,7 @@ def open_source(path: Path) -> Source:
     if not path.is_dir():
         return MapSource(path, SegmentMap.load(path))
     if (path / "alignment.json").is_file():
-        return _aligned(path)
+        return _open_aligned(path)
     for kept in (_QUERIES, _STATES):
         if (path / kept).is_file():
             timed = "no times" not in _read(path / "poses.tum")[:300]
@@ -105,7 +105,7 @@ def open_source(path: Path) -> Source:
 def _frame(path: Path) -> tuple[Georeference | None, Pose]:
     """Read the georeference and the transform from the cloud that were stored of the map."""
     file = path / "summary.json"
-    facts = _parsed(_read(file), str(file)) if file.is_file() else {}
+    facts = _parse(_read(file), str(file)) if file.is_file() else {}
     where, T_map_cloud = facts.get(KEY), facts.get(CLOUD_FRAME, np.eye(4))
     return (
         None if where is None else Georeference.of({KEY: json.dumps(where)}),
@@ -127,9 +127,9 @@ def _matrix(rows: Any, size: int, where: str) -> Float64:
         raise DatasetError(f"{where}: damaged: {error}") from error
 
 
-def _aligned(path: Path) -> AlignedSource:
+def _open_aligned(path: Path) -> AlignedSource:
     file = path / "alignment.json"
-    facts = _parsed(_read(file), str(file))
+    facts = _parse(_read(file), str(file))
     try:
         names = [str(session["name"]) for session in facts["sessions"]]
         components = [[int(k) for k in members] for members in facts["components"]]
@@ -145,14 +145,14 @@ def _aligned(path: Path) -> AlignedSource:
 def _records(path: Path) -> Iterator[dict[str, Any]]:
     """Read the objects of a file of JSON lines."""
     for number, line in enumerate(_read(path).splitlines(), 1):
-        yield _parsed(line, f"{path}: line {number}")
+        yield _parse(line, f"{path}: line {number}")
 
 
 def _read(path: Path) -> str:
     return read_file(path).decode("utf-8", "replace")
 
 
-def _parsed(text: str, where: str) -> dict[str, Any]:
+def _parse(text: str, where: str) -> dict[str, Any]:
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:

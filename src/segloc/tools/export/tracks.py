@@ -71,7 +71,7 @@ def tracks(source: Source, in_cloud: bool = False) -> Iterator[tuple[str, Trajec
         for k, name in enumerate(source.names):
             yield name, source.session(k), UNTIMED
     elif isinstance(source, MapSource):
-        poses = _placed(source, source.prior_map.trajectory, in_cloud)
+        poses = _in_frame(source, source.prior_map.trajectory, in_cloud)
         if not len(poses):
             raise SeglocError(f"{source.path}: the map has no sensor trajectory")
         numbers = np.arange(len(poses), dtype=np.float64)
@@ -79,12 +79,12 @@ def tracks(source: Source, in_cloud: bool = False) -> Iterator[tuple[str, Trajec
     else:
         if not len(source.track):
             raise SeglocError(f"{source.path}: no trajectory: no query was localized")
-        poses = _placed(source, source.track.poses, in_cloud)
+        poses = _in_frame(source, source.track.poses, in_cloud)
         track = Trajectory(source.track.stamps, poses)
         yield source.path.resolve().name, track, "" if source.timed else UNTIMED
 
 
-def _placed(source: MapSource | FoundSource, poses: Float64, in_cloud: bool) -> Float64:
+def _in_frame(source: MapSource | FoundSource, poses: Float64, in_cloud: bool) -> Float64:
     """Return poses (..., 4, 4) in the frame of the map, or of the cloud that was levelled."""
     of = source.prior_map if isinstance(source, MapSource) else source
     placed: Float64 = geometry.inverse(of.T_map_cloud) @ poses if in_cloud else poses
@@ -182,8 +182,8 @@ def _features(source: Source, axes: _Axes, in_cloud: bool) -> Iterator[dict[str,
         elif isinstance(source, AlignedSource) or source.is_drive:
             yield _lines(name, track.poses, axes)
         if isinstance(source, FoundSource):
-            for found in source.found():
-                yield _point(name, found, _placed(source, found["T"], in_cloud), axes)
+            for found in source.answers():
+                yield _point(name, found, _in_frame(source, found["T"], in_cloud), axes)
 
 
 def _lines(name: str, poses: Float64, axes: _Axes) -> dict[str, Any]:

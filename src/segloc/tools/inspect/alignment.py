@@ -196,7 +196,7 @@ def picture(alignment: Alignment) -> bytes:
     figure = blank((_WIDTH_IN, _HEIGHT_IN * rows), _DPI, layout="constrained")
     axes = figure.subplots(rows, 2, squeeze=False)
     for row, members in zip(axes, alignment.components, strict=True):
-        before = _moved(alignment, members)
+        before = _moved_odometry(alignment, members)
         for side, name, poses in zip(
             row, ("before: odometry", "after: aligned"), (before, alignment.poses), strict=True
         ):
@@ -206,7 +206,7 @@ def picture(alignment: Alignment) -> bytes:
     return png(figure)
 
 
-def _moved(alignment: Alignment, members: list[int]) -> list[Float64]:
+def _moved_odometry(alignment: Alignment, members: list[int]) -> list[Float64]:
     """Return odometry, each session moved to its aligned first pose."""
     moved = list(alignment.odometry)
     for k in members:

@@ -22,7 +22,7 @@ from ...likelihood import (
 )
 from ...likelihood.model import as_by_chance, known_odds
 from ...pipeline import Search
-from ...system.text import counted
+from ...system.text import quantity
 
 LABELS = {
     "flush": "walls",
@@ -94,7 +94,7 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     """Return the share of each feature in the log-odds of the most probable place."""
     best, *others = found.posterior.places
     fit, over, beside = _fit(found, best), (0.0,) * len(FEATURES), dict.fromkeys(FEATURES, "")
-    words = _measured(found, fit)
+    words = _describe_fit(found, fit)
     if others:
         over = tuple(np.subtract(best.features, others[0].features).tolist())
         beside = _beside(fit, _fit(found, others[0]))
@@ -142,7 +142,7 @@ def _fit(found: Search, place: ScoredPose) -> Observation:
     return next(fit for fit in found.fits if fit.T_map_local is place.T_map_local)
 
 
-def _known(fit: Observation) -> Count:
+def _known_count(fit: Observation) -> Count:
     """Return the points on the map, of those in known space."""
     return Count(fit.known.on, fit.known.on + fit.known.off)
 
@@ -166,7 +166,7 @@ def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
             "no free space of the map is known",
         ),
         "known_over_rival": (
-            _known(fit),
+            _known_count(fit),
             "of the points in known space lie on the map",
             "the map knows nothing where the points lie",
         ),
@@ -178,7 +178,7 @@ def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
     }
 
 
-def _measured(found: Search, fit: Observation) -> dict[str, str]:
+def _describe_fit(found: Search, fit: Observation) -> dict[str, str]:
     """Describe what was measured at a pose, and with what it is compared."""
     words = {
         name: f"{count.share:.0%} {what}" if count.of else f"not measured: {missing}"
@@ -191,7 +191,7 @@ def _measured(found: Search, fit: Observation) -> dict[str, str]:
     words["known_over_rival"] += _elsewhere(overlap, _CHANCE_SHARE)
     words["seen_over_rival"] += _elsewhere(seen, _CHANCE_SEEN)
     inliers = max([0, *(place.inliers for place in others)])
-    words["inliers_over_rival"] = counted(fit.inliers, "segments", "agree") + (
+    words["inliers_over_rival"] = quantity(fit.inliers, "segments", "agree") + (
         f"; {inliers} elsewhere" if inliers > _CHANCE_INLIERS else f"; {_CHANCE_INLIERS} by chance"
     )
     walls = [other.walls for other in found.fits if other is not fit]
@@ -210,12 +210,12 @@ def _walls(here: Walls, others: Sequence[Walls]) -> str:
     if not known:
         return "not measured: the map knows nothing about the walls of the query"
     compared = min((None, *others), key=lambda other: walls_over(here, other))
-    better, worse = _told_apart(here, compared)
+    better, worse = _count_differing(here, compared)
     than = "by chance" if compared is None else "elsewhere"
-    return f"of {counted(known, 'pieces')} of wall {better} fit better than {than}, {worse} worse"
+    return f"of {quantity(known, 'pieces')} of wall {better} fit better than {than}, {worse} worse"
 
 
-def _told_apart(here: Walls, other: Walls | None) -> tuple[int, int]:
+def _count_differing(here: Walls, other: Walls | None) -> tuple[int, int]:
     """Count the patches that fit better at one pose than at another, and those that fit worse."""
 
     def patch(walls: Walls, k: int) -> Walls:
@@ -235,9 +235,9 @@ def _beside(fit: Observation, other: Observation) -> dict[str, str]:
         name: f"{_share(count)} {what}, {_share(there[name][0])} at the runner-up"
         for name, (count, what, _) in _counts(fit).items()
     }
-    agree = counted(fit.inliers, "segments", "agree")
+    agree = quantity(fit.inliers, "segments", "agree")
     words["inliers_over_rival"] = f"{agree}, {other.inliers} at the runner-up"
-    better, worse = _told_apart(fit.walls, other.walls)
+    better, worse = _count_differing(fit.walls, other.walls)
     words["walls_over_rival"] = f"{better} pieces of wall fit better here, {worse} at the runner-up"
     return words
 

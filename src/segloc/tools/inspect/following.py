@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import SeglocError
 from ...types import Float64, Pose
 from .pictures import GREEN, ORANGE, PATH, RED, VIOLET, rgb
-from .results import parsed, pose_of
+from .results import parse_records, pose_of
 from .scene import MapScene
 
 STATES, SO_FAR, NEWEST = "states.jsonl", "so_far.jsonl", "newest.npy"
@@ -71,7 +71,7 @@ def read_moments(folder: Path) -> list[Moment]:
             continue
         except OSError as error:
             raise SeglocError(f"{file}: cannot be read ({error.strerror or error})") from error
-        return parsed(_moment, lines, file)
+        return parse_records(_moment, lines, file)
     raise SeglocError(f"{folder}: no results of `segloc live --out`")
 
 

@@ -60,17 +60,17 @@ def pictures(trace: Trace) -> list[tuple[str, bytes]]:
             ),
             (
                 f"The best pose: the cloud on the map{cross}",
-                lambda axes: _placed(axes, trace, T),
+                lambda axes: _draw_pose(axes, trace, T),
             ),
             (
                 "Overlap: points on the map are green, others red",
                 lambda axes: _overlap(axes, trace, T),
             ),
         ]
-    return [(caption, _drawn(draw)) for caption, draw in drawn]
+    return [(caption, _draw(draw)) for caption, draw in drawn]
 
 
-def _drawn(draw: Callable[[Axes], None]) -> bytes:
+def _draw(draw: Callable[[Axes], None]) -> bytes:
     figure = blank((_SIZE_IN, _SIZE_IN), _DPI)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     draw(axes)
@@ -116,7 +116,7 @@ def _matches(axes: Axes, trace: Trace, T: Pose) -> None:
         dots(axes, here[chosen], s=16 if fits else 8, color=color, zorder=5)
 
 
-def _placed(axes: Axes, trace: Trace, T: Pose) -> None:
+def _draw_pose(axes: Axes, trace: Trace, T: Pose) -> None:
     _map_below(axes, T[:3, 3], trace.prior_map)
     placed = geometry.transform(T, trace.structure)
     dots(axes, placed, s=0.8, color=ORANGE)

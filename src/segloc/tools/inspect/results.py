@@ -89,11 +89,11 @@ def read_results(folder: Path) -> list[Shown]:
         replace(query, stages=unpack(stored.read_bytes(), str(stored)))
         if (stored := folder / DEBUG / f"{query.index}.npz").is_file()
         else query
-        for query in parsed(_shown, lines, file)
+        for query in parse_records(_as_shown, lines, file)
     ]
 
 
-def parsed(parse: Callable[[Any], Parsed], lines: Sequence[str], file: Path) -> list[Parsed]:
+def parse_records(parse: Callable[[Any], Parsed], lines: Sequence[str], file: Path) -> list[Parsed]:
     """Parse the records of a file, one per line.
 
     Raises
@@ -115,7 +115,7 @@ def pose_of(rows: Any) -> Pose | None:
     return None if rows is None else np.array(rows, dtype=np.float64).reshape(4, 4)
 
 
-def _shown(record: Any) -> Shown:
+def _as_shown(record: Any) -> Shown:
     index, confidence = int(record["index"]), float(record["confidence"])
     T, message = pose_of(record["T_map_sensor"]), str(record["message"])
     correct = record.get("correct")

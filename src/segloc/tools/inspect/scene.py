@@ -157,17 +157,17 @@ class MapScene:
             self._draw_stages(query.stages, query.stages.T_map_local)
 
     def _draw_stages(self, stages: Stages, T: Pose) -> None:
-        def placed(points: Float32) -> Float32:
+        def place(points: Float32) -> Float32:
             return self.local(geometry.transform(T, points))
 
         for name, chosen, colour in (("off", ~stages.on_map, RED), ("on", stages.on_map, GREEN)):
-            points = placed(stages.points[chosen])
+            points = place(stages.points[chosen])
             self.points("cloud", f"/query/{name}_map", points, _all(colour, points), 0.18)
-        lifted = placed(stages.segment_points)
+        lifted = place(stages.segment_points)
         self.points("segments", "/query/segments", lifted, _distinct(stages.segment_of), 0.26)
         known = stages.matched < len(self._map.centroids)
         there = self.local(self._map.centroids[stages.matched[known]])
-        lines = np.stack([placed(stages.centroids[known]), there], axis=1)
+        lines = np.stack([place(stages.centroids[known]), there], axis=1)
         fits = stages.inliers[known]
         self.lines(OTHER, "/query/other_matches", lines[~fits], PATH, 0.04)
         lines = lines.copy()

@@ -17,7 +17,7 @@ from ...pipeline import Search
 from ...prior import Prior
 from ...proposals.proposer import Query
 from ...system.stage_times import StageTimes
-from ...system.text import counted
+from ...system.text import quantity
 from ...types import Bools, Float32, Int64, LocalCloud, Pose, Segments
 from .evidence import Part, evidence_rows, parts_of, prior_log_odds, runner_up_rows
 
@@ -144,7 +144,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
     counts = result.counts
     tilt = math.degrees(math.acos(float(np.clip(trace.T_local_sensor[2, 2], -1.0, 1.0))))
     smallest = f", of {sizes.min()} to {sizes.max()} points" if len(sizes) else ""
-    scans = counted(counts["scans"], "scans")
+    scans = quantity(counts["scans"], "scans")
     found = [
         ("cloud", f"{counts['points']} points of {scans}; tilt {tilt:.1f} deg, {result.attitude}"),
         ("ground", f"{len(trace.structure)} voxels above the ground"),
@@ -173,7 +173,7 @@ def _poses(trace: Trace) -> str:
         return "no pose with agreeing matches"
     x, y, z = trace.T_map_local[:3, 3]
     best = f"best at {x:.1f}, {y:.1f}, {z:.1f} m, proposed by {trace.result.proposer}"
-    return f"{counted(count, 'candidates')}; {best}"
+    return f"{quantity(count, 'candidates')}; {best}"
 
 
 def confidence_tables(trace: Trace) -> Tables:

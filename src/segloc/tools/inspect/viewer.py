@@ -21,7 +21,7 @@ import numpy as np
 
 from ...errors import MissingDependency, SeglocError
 from ...map.segment_map import SegmentMap
-from ...system.text import counted
+from ...system.text import quantity
 from ...types import Float64, Pose
 from .following import COLOURS as OF_STATES
 from .following import Moment, draw_moments, newest_points, read_moments
@@ -268,7 +268,7 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
             f"<tr><td>{escape(state)}</td><td>{count}</td></tr>"
             for state, count in counts.most_common()
         )
-        head = f"<b>{counted(len(moments), 'scans')}</b><table>{rows}</table>"
+        head = f"<b>{quantity(len(moments), 'scans')}</b><table>{rows}</table>"
         page = str(server.get_scene_serializer().as_html())
         return _with(page, f'<div id="segloc">{head}<small>{legend}</small></div>')
 
@@ -332,7 +332,7 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
         with server.atomic():
             scene.draw_query(chosen)
             look_at(None)
-        head.content, text.content = described(chosen), stages(chosen)
+        head.content, text.content = describe(chosen), stages(chosen)
         looked_at.visible = runner_up() is not None
 
     def runner_up() -> Pose | None:
@@ -348,7 +348,7 @@ def _add_choice(server: Any, scene: MapScene, queries: Sequence[Shown]) -> None:
     choose(None)
 
 
-def described(query: Shown) -> str:
+def describe(query: Shown) -> str:
     """Describe one query in Markdown: its outcome and summary."""
     text = query.text if query.stages is None else query.stages.summary
     return f"**{query.index}: {query.outcome}**\n\n{text}"

@@ -144,14 +144,14 @@ def read_cloud(
         raise DatasetError(f"{len(poses)} poses for {len(files)} files: each file needs one")
     for done, file in enumerate(files):
         with faults_of(file):
-            T = _placed(file) if poses is None else poses[done]
+            T = _submap_pose(file) if poses is None else poses[done]
             for part in _parts(file):
                 yield part if T is None else transform(T, part)
         if progress:
             progress(done + 1, len(files))
 
 
-def _placed(path: Path) -> Float64 | None:
+def _submap_pose(path: Path) -> Float64 | None:
     """Return the pose of a submap in the common frame; None if it lies in that frame."""
     if path.name != GLIM:
         return None
@@ -174,7 +174,7 @@ def _parts(path: Path) -> Iterator[Float64]:
     if suffix == ".npy":
         return iter([_float64(as_points(parse_array(read_file(path)))[:, :3])])
     if suffix in (".pcd", ".ply", *_TEXT) and path.stat().st_size:
-        return _mapped(path, suffix)
+        return _map_rows(path, suffix)
     return iter([read_scan(path).points.astype(np.float64)])
 
 
@@ -197,7 +197,7 @@ def _float64(points: NDArray[Any]) -> Float64:
         return np.asarray(points, dtype=np.float64)
 
 
-def _mapped(path: Path, suffix: str) -> Iterator[Float64]:
+def _map_rows(path: Path, suffix: str) -> Iterator[Float64]:
     """A text file, or a PCD or PLY file whose points have all one size."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         if suffix in _TEXT:

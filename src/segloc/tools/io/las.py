@@ -145,7 +145,7 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
 
     Raise DatasetError where :func:`parse_las` does.
     """
-    with _mapped(path) as (stream, data):
+    with _map_file(path) as (stream, data):
         header = _parse_header(data)
         if not header.points:
             return
@@ -160,12 +160,12 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
 
 def point_count(path: Path) -> int:
     """Return the number of points by the header of a file."""
-    with _mapped(path) as (_, data):
+    with _map_file(path) as (_, data):
         return _parse_header(data).points
 
 
 @contextmanager
-def _mapped(path: Path) -> Iterator[tuple[BinaryIO, mmap.mmap]]:
+def _map_file(path: Path) -> Iterator[tuple[BinaryIO, mmap.mmap]]:
     """Open a file, and map it into memory."""
     if not path.stat().st_size:  # cannot be mapped
         raise DatasetError("not a LAS file")

@@ -35,7 +35,9 @@ _NANOSECONDS = 1e14  # larger fractional times are nanoseconds since 1970
 
 def time_field(names: Sequence[str]) -> int | None:
     """Return the position of the field with point times; None if there is none."""
-    ranks = {k: _STEMS.index(parts[0]) for k, name in enumerate(names) if (parts := _known(name))}
+    ranks = {
+        k: _STEMS.index(parts[0]) for k, name in enumerate(names) if (parts := _split_known(name))
+    }
     return min(ranks, key=lambda k: (ranks[k], k)) if ranks else None
 
 
@@ -53,7 +55,7 @@ def unread_times(names: Iterable[str]) -> str:
 
 def time_scale(name: str, *, integer: bool) -> float:
     """Return the unit [s] of a field: as its name says, else ns for integers and s for others."""
-    known = _known(name)
+    known = _split_known(name)
     unit = known[1] if known else None
     return unit if unit is not None else 1e-9 if integer else 1.0
 
@@ -66,7 +68,7 @@ def times_of(values: NDArray[Any], scale: float) -> Float64:
     return times if scale == 1.0 else times * scale
 
 
-def _known(name: str) -> tuple[str, float | None] | None:
+def _split_known(name: str) -> tuple[str, float | None] | None:
     """Split a known name into its stem and its unit [s], if named; None for another name."""
     words = [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
     words = words[words[:1] == list(_PREFIXES) :]

@@ -96,7 +96,7 @@ def _names(line: str) -> list[str]:
     return ["", *names] if line.startswith("\t") and not mark else names
 
 
-def _named(names: Sequence[str]) -> _Columns | None:
+def _named_columns(names: Sequence[str]) -> _Columns | None:
     """Return the columns of positions and rotations, and of times if any; None if some lack."""
     roles = [_role(name) for name in names[:_MAX_COLUMNS]]
     turn = next((t for t in (_QUATERNION, _EULER) if all(role in roles for role in t)), None)
@@ -212,11 +212,11 @@ def _table(data: bytes) -> _Table:
     if _G2O.match(data):
         return _from_g2o(data)
     if data.lstrip().startswith(b"{"):
-        raise DatasetError(f"JSON, not {_wanted()}")
+        raise DatasetError(f"JSON, not {_expectation()}")
     return _from_text(data)
 
 
-def _wanted() -> str:
+def _expectation() -> str:
     return (
         "a table of poses: rows of time x y z qx qy qz qw (TUM), of 12 or 16 numbers of a matrix "
         "(KITTI), or a first line that names the columns"
@@ -235,7 +235,7 @@ def _from_npy(data: bytes) -> _Table:
 
 def _from_pcd(data: bytes) -> _Table:
     names, numbers = parse_fields(data)
-    columns = _named(names)
+    columns = _named_columns(names)
     if columns is None:
         raise DatasetError(
             f"a cloud with the fields {' '.join(names)[:100]}: poses need x y z and roll pitch "
@@ -283,7 +283,7 @@ def _from_text(data: bytes) -> _Table:
         raise DatasetError("empty file")
     first = next((k for k, line in enumerate(text) if line.strip()), 0)
     names = _names(text[first])
-    columns = _named(names)
+    columns = _named_columns(names)
     if lines and lines[0] == first and (columns is not None or is_header(text[first])):
         del lines[0]
         if columns is None:

@@ -52,8 +52,8 @@ def parse_table(
     Raise DatasetError if a number cannot be parsed, or there are too few rows or columns.
     """
     check_points(rows)
-    found = _selected(_blocks(data), skipped, rows if more else None)
-    table = _joined(_tables(found, columns, width, None))
+    found = _select(_blocks(data), skipped, rows if more else None)
+    table = _join(_tables(found, columns, width, None))
     if len(table) > rows:
         raise DatasetError(f"the header declares {rows} points, the file has {len(table)} rows")
     require_points(rows, len(table))
@@ -76,7 +76,7 @@ def table_parts(
     Raise DatasetError if a number cannot be parsed, or there are too few rows.
     """
     left = rows
-    for part in _tables(_selected(_blocks(data, (), start), 0, rows), columns, width, None):
+    for part in _tables(_select(_blocks(data, (), start), 0, rows), columns, width, None):
         left -= len(part)
         yield part
     require_points(rows, rows - left)
@@ -102,7 +102,7 @@ def _blocks(data: Mapped, comments: tuple[str, ...] = (), start: int = 0) -> Ite
         start = end
 
 
-def _selected(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:
+def _select(blocks: Iterator[list[str]], skipped: int, rows: int | None) -> Iterator[list[str]]:
     """Yield the lines after the first ``skipped``, at most ``rows``."""
     for lines in blocks:
         kept = lines[skipped:] if skipped else lines
@@ -124,7 +124,7 @@ def _tables(
         if not lines:
             continue
         try:
-            table = _loaded(lines, columns, delimiter)
+            table = _load(lines, columns, delimiter)
         except ValueError as error:
             after = f" after row {count}" if count else ""
             raise DatasetError(f"cannot parse the points{after}: {one_line(error)}") from error
@@ -136,7 +136,7 @@ def _tables(
         raise DatasetError(f"the last row has {found} columns, not {width}")
 
 
-def _joined(tables: Iterator[Float64]) -> Float64:
+def _join(tables: Iterator[Float64]) -> Float64:
     """All of them in one; their rows are counted against the limit of a scan."""
     found: list[Float64] = []
     count = 0
@@ -147,7 +147,7 @@ def _joined(tables: Iterator[Float64]) -> Float64:
     return found[0] if len(found) == 1 else np.concatenate(found)
 
 
-def _loaded(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
+def _load(lines: list[str], columns: Sequence[int], delimiter: str | None) -> Float64:
     """Parse columns of lines of numbers, with any spelling of NaN."""
 
     def load(rows: list[str]) -> Float64:
@@ -172,12 +172,12 @@ def _words(line: str, delimiter: str | None) -> list[str]:
 
 def parse_csv(data: bytes) -> Scan:
     """Columns named x, y, z in any order (and a time, if any); without names the first three."""
-    return scan_from_columns(list(_joined(text_parts(data, ())).T))
+    return scan_from_columns(list(_join(text_parts(data, ())).T))
 
 
 def parse_txt(data: bytes) -> Scan:
     """As ``parse_csv``; lines that start with # or // are comments, and no lines are no points."""
-    return scan_from_columns(list(_joined(text_parts(data)).T))
+    return scan_from_columns(list(_join(text_parts(data)).T))
 
 
 def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[Float64]:

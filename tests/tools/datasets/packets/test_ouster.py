@@ -190,7 +190,7 @@ def test_damaged_metadata(end: int, place: int, byte: int) -> None:
 
 def test_datagrams_that_are_broken(tmp_path: Path) -> None:
     """Fragments out of order, missing, repeated, too short: whole datagrams only."""
-    from segloc.tools.datasets.packets.captures import datagrams, mapped
+    from segloc.tools.datasets.packets.captures import datagrams, map_file
 
     content = bytes(range(256)) * 20
     frames = ip_packets(content, 1)
@@ -202,7 +202,7 @@ def test_datagrams_that_are_broken(tmp_path: Path) -> None:
     path.write_bytes(
         head + b"".join(struct.pack("<IIII", 0, 0, len(f), len(f)) + f for f in stream)
     )
-    with mapped(path) as data:
+    with map_file(path) as data:
         found = [(d.port, d.content(data)) for d in datagrams(data)]
     assert found == [(7502, content)]
 

@@ -73,7 +73,7 @@ class SuiteScenario:
 def _published(recording: Recording, every_m: float) -> QuerySet:
     """Select as many queries of a session as the paper has."""
     truth = _truth(recording)
-    positions = geometry.stations(geometry.travelled(truth), every_m, 0.5 * every_m)
+    positions = geometry.stations(geometry.distance_travelled(truth), every_m, 0.5 * every_m)
     return QuerySet(recording, positions, truth[positions])
 
 

@@ -48,7 +48,7 @@ def find(path: Path, poses: Path | None) -> Found:
     or stamp.
     """
     paths, notes = _scan_paths(path, poses)
-    indices, stamps = _numbered(paths, path)
+    indices, stamps = _indices_and_stamps(paths, path)
     return Found(
         name=path.resolve().name,
         format=NAME,
@@ -70,7 +70,7 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
         raise DatasetError(f"{folder}: no such folder or file")
     if not folder.is_dir():
         raise DatasetError(
-            f"{folder}: not a recording of a known format{_named([folder])}; {known_formats()}"
+            f"{folder}: not a recording of a known format{_suffixes([folder])}; {known_formats()}"
         )
     try:
         files = [path for path in folder.iterdir() if path.is_file()]
@@ -89,7 +89,7 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
         below = f"; scans found in subfolders: {inner}" if inner else f"; {known_formats()}"
         raise DatasetError(
             f"{folder}: no scans of a known format among its {len(files)} files"
-            f"{_named(files)}{below}"
+            f"{_suffixes(files)}{below}"
         )
     numbered, notes = _without_sidecars(scans)
     return sorted(numbered, key=lambda path: natural_key(path.name)), notes
@@ -103,7 +103,7 @@ def known_formats() -> str:
     )
 
 
-def _named(files: Sequence[Path]) -> str:
+def _suffixes(files: Sequence[Path]) -> str:
     """List suffixes of files and how to read them, in brackets."""
     counts = Counter(path.suffix.lower() or "no suffix" for path in files)
     if not counts:
@@ -141,7 +141,7 @@ def _stem(path: Path) -> str:
     return path.name[: -len(scan_suffix(path) or "")]
 
 
-def _numbered(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
+def _indices_and_stamps(paths: list[Path], folder: Path) -> tuple[Int64, Float64 | None]:
     """Return indices and stamps of scans by their names; sorts ``paths`` by stamp."""
     stamps = _stamps_of_pairs([_stem(path) for path in paths])
     if stamps is not None:

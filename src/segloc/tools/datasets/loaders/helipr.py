@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 
 from ....types import Scan
-from ..layout import choose, holds_scans, in_seconds, numbers, returned, rows_of, scan_files
+from ..layout import (
+    choose,
+    drop_missing_returns,
+    holds_scans,
+    in_seconds,
+    numbers,
+    rows_of,
+    scan_files,
+)
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, quaternion_poses, read_table
 
@@ -66,7 +74,7 @@ def parse(data: bytes, layout: np.dtype[Any]) -> Scan:
     points = np.column_stack([rows["x"], rows["y"], rows["z"]])
     names = layout.names or ()
     times = rows["time"].astype(np.float64) if "time" in names else rows["t"] * 1e-9
-    return returned(points, times)
+    return drop_missing_returns(points, times)
 
 
 def _track(path: Path, name: str) -> Track:

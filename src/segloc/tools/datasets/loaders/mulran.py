@@ -12,7 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from ....types import Scan
-from ..layout import column_times, float_rows, holds_scans, in_seconds, returned, scan_files
+from ..layout import (
+    column_times,
+    drop_missing_returns,
+    float_rows,
+    holds_scans,
+    in_seconds,
+    scan_files,
+)
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, matrix_poses, mount, read_table
 
@@ -45,7 +52,7 @@ def find(path: Path, topic: str | None) -> Found:
 def parse(data: bytes) -> Scan:
     """Parse rows of float32 of an OS1-64: x, y, z, intensity, column by column."""
     rows = float_rows(data, 4)
-    return returned(rows, column_times(len(rows)))
+    return drop_missing_returns(rows, column_times(len(rows)))
 
 
 def _track(path: Path, name: str) -> Track:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ....types import Float64, Pose, Scan
 from ...io.pcd import parse_pcd
-from ..layout import column_times, returned
+from ..layout import column_times, drop_missing_returns
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, quaternion_poses, read_table
 
@@ -60,7 +60,7 @@ def parse(data: bytes) -> Scan:
         times = column_times(len(scan) + scan.dropped + scan.missing_returns)
         if times is not None and scan.kept is not None:
             times = times[scan.kept]
-    kept = returned(scan.points, times)
+    kept = drop_missing_returns(scan.points, times)
     kept.dropped, kept.blank = scan.dropped, scan.blank
     kept.missing_returns = scan.missing_returns
     return kept

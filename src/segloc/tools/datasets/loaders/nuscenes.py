@@ -113,8 +113,8 @@ def _poses(folder: Path, sweeps: list[Row]) -> Float64:
     try:
         wanted = {sweep["ego_pose_token"] for sweep in sweeps}
         egos = {row["token"]: row for row in _table(folder, "ego_pose") if row["token"] in wanted}
-        T_world_car = _stacked([egos[sweep["ego_pose_token"]] for sweep in sweeps], folder)
-        T_car_lidar = _stacked([sweep["mount"] for sweep in sweeps], folder)
+        T_world_car = _stack([egos[sweep["ego_pose_token"]] for sweep in sweeps], folder)
+        T_car_lidar = _stack([sweep["mount"] for sweep in sweeps], folder)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise DatasetError(
             f"{folder}: ego_pose does not fit the sweeps: {error!r}"[:500]
@@ -122,7 +122,7 @@ def _poses(folder: Path, sweeps: list[Row]) -> Float64:
     return T_world_car @ T_car_lidar
 
 
-def _stacked(rows: list[Row], folder: Path) -> Float64:
+def _stack(rows: list[Row], folder: Path) -> Float64:
     xyz = np.array([row["translation"] for row in rows], dtype=np.float64).reshape(-1, 3)
     wxyz = np.array([row["rotation"] for row in rows], dtype=np.float64).reshape(-1, 4)
     return quaternion_poses(xyz, wxyz[:, [1, 2, 3, 0]], str(folder))

@@ -105,7 +105,7 @@ def _track(path: Path, name: str) -> Track:
         return _visual_odometry(path, name)
     columns = ("timestamp", "northing", "easting", "down", "roll", "pitch", "yaw")
     rows = read_table(path, columns, header=True)
-    aligned = _aligned(path)
+    aligned = _usable_rows(path)
     if len(aligned) != len(rows):
         raise DatasetError(f"{path}: rows without an INS status")
     lost = len(rows) - int(aligned.sum())
@@ -120,7 +120,7 @@ def _track(path: Path, name: str) -> Track:
     return replace(track, note="; ".join(notes))
 
 
-def _aligned(path: Path) -> np.ndarray:
+def _usable_rows(path: Path) -> np.ndarray:
     lines = read_file(path).decode("ascii", "replace").splitlines()
     try:
         table = [row for row in csv.DictReader(lines) if any(row.values())]

@@ -59,7 +59,7 @@ class Datagram(NamedTuple):
 
 
 @contextmanager
-def mapped(path: Path) -> Iterator[mmap.mmap]:
+def map_file(path: Path) -> Iterator[mmap.mmap]:
     """Map a capture into memory.
 
     Raise DatasetError if the file is not a capture.

@@ -16,7 +16,7 @@ from ...io.scans import read_file
 from ..gravity import Accelerometer, GravitySource
 from ..layout import choose
 from ..recorded import Found
-from .captures import datagrams, mapped
+from .captures import datagrams, map_file
 from .ouster_packets import FIELDS, FRAME, Sensor, Turns, gather, read_sensor
 
 NAME = "Ouster packets"
@@ -42,14 +42,14 @@ def find(path: Path, topic: str | None) -> Found:
     name = choose(path, list(present), topic)
     sensor = read_sensor(read_file(present[name]), str(present[name]))
     count = 0
-    with mapped(path) as data:
+    with map_file(path) as data:
         packets, accelerations = [], []
         for datagram in datagrams(data):
             count += 1
-            if sensor.sent_by_imu(datagram.size, datagram.port):
+            if sensor.is_imu(datagram.size, datagram.port):
                 row = (datagram.stamp, *sensor.acceleration(datagram.content(data)))
                 accelerations.append(row)
-            if sensor.sent(datagram.size, datagram.port):
+            if sensor.is_lidar(datagram.size, datagram.port):
                 number = sensor.frame_id(datagram.content(data))
                 packets.append((number, datagram.stamp, datagram.first, datagram.stop))
         turns = gather(packets, sensor)
@@ -94,11 +94,11 @@ class TurnSource:
     def read(self, k: int) -> Scan:
         with faults_of(self.path):
             first, stop = int(self.turns.firsts[k]), int(self.turns.stops[k])
-            with mapped(self.path) as data:
+            with map_file(self.path) as data:
                 found = (
                     datagram.content(data)
                     for datagram in datagrams(data, first, stop)
-                    if self.sensor.sent(datagram.size, datagram.port)
+                    if self.sensor.is_lidar(datagram.size, datagram.port)
                 )
                 packets = list(islice(found, self.sensor.most_packets + 1))
             return self.sensor.decode(packets, int(self.turns.numbers[k]), self.where(k))

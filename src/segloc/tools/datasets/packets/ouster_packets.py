@@ -20,7 +20,7 @@ from ....errors import DatasetError
 from ....system.budget import check_points, most_points
 from ....types import Float64, Int64, Pose, Scan
 from ...io.fields import one_line
-from ..layout import returned
+from ..layout import drop_missing_returns
 
 LEGACY = "LEGACY"
 PIXEL_BYTES = {
@@ -117,11 +117,11 @@ class Sensor:
     imu_port: int  # destination of IMU packets; 0 if unknown
     legacy_imu: bool  # True if IMU packets have the supported layout
 
-    def sent(self, size: int, port: int) -> bool:
+    def is_lidar(self, size: int, port: int) -> bool:
         """Return whether a datagram's size and port are those of a LiDAR packet."""
         return size == self.packet.itemsize and (self.port in (0, port))
 
-    def sent_by_imu(self, size: int, port: int) -> bool:
+    def is_imu(self, size: int, port: int) -> bool:
         """Return whether a datagram's size and port are those of an IMU packet."""
         return self.legacy_imu and size == IMU_BYTES and self.imu_port in (0, port)
 
@@ -162,7 +162,7 @@ class Sensor:
         since = columns["time"] - columns["time"].min(initial=np.iinfo(np.uint64).max)
         times = np.repeat(since.astype(np.float64) * 1e-9, len(self.altitudes))
         points[ranges.reshape(-1) == 0] = 0.0
-        return returned(points, times)
+        return drop_missing_returns(points, times)
 
     def _points(self, ranges: Float64, numbers: np.ndarray) -> Float64:
         """Return points (C * P, 3) of ranges (C, P) in columns with these numbers."""

@@ -16,9 +16,9 @@ from ....errors import DatasetError, MissingDependency
 from ....system.budget import check_points
 from ....types import Float64, Int64, Scan
 from ...io.fields import faults_of, one_line
-from ..layout import returned
+from ..layout import drop_missing_returns
 from ..recorded import Found
-from .captures import mapped, records
+from .captures import map_file, records
 
 NAME = "Velodyne packets"
 INNER: tuple[str, ...] = ()
@@ -75,7 +75,7 @@ def turns_of(azimuths: Int64) -> Int64:
 def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
     """Return stamps, file offsets and first azimuths [0.01 deg] of data packets."""
     stamps, places, azimuths = [], [], []
-    with mapped(path) as data:
+    with map_file(path) as data:
         for stamp, start, size in records(data):
             place = start + size - PACKET
             if size >= PACKET and data[place : place + 2] == _BLOCK:
@@ -143,7 +143,7 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
         points: Any = np.asarray(decoder.decode(vector)[1])
     except (RuntimeError, ValueError, TypeError) as error:
         raise DatasetError(f"{where}: {one_line(error)}") from error
-    return returned(points[:, :3], points[:, 4].astype(np.float64))
+    return drop_missing_returns(points[:, :3], points[:, 4].astype(np.float64))
 
 
 def _is_early_vlp16(packets: Sequence[bytes]) -> bool:

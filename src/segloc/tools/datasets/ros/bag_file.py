@@ -23,7 +23,7 @@ _RECOVER = "`mcap recover IN.mcap -o OUT.mcap` saves the intact part"
 
 
 @contextmanager
-def opened(paths: tuple[Path, ...]) -> Iterator[BagReader]:
+def open_bag(paths: tuple[Path, ...]) -> Iterator[BagReader]:
     """Open a bag; any error while it is open is reported as a fault of the bag.
 
     Raise DatasetError if it is truncated, damaged or unsupported. Raise MissingDependency if

@@ -11,7 +11,7 @@ import numpy as np
 from ....errors import DatasetError
 from ....system.budget import check_points
 from ....types import Scan
-from ..layout import returned
+from ..layout import drop_missing_returns
 from ..packets.velodyne import decode
 from . import bag_ouster, pointcloud2
 from .bag_file import seconds
@@ -71,7 +71,7 @@ def livox_scan(data: bytes, *, cdr: bool) -> Scan:
         [("offset_time", f"{order}u4"), ("xyz", f"{order}f4", 3), ("rest", f"V{step - 16}")]
     )
     points = np.frombuffer(rows, point, count)
-    return returned(points["xyz"].astype(np.float32), points["offset_time"] * 1e-9)
+    return drop_missing_returns(points["xyz"].astype(np.float32), points["offset_time"] * 1e-9)
 
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -126,7 +126,7 @@ def scan_of(reader: BagReader, data: bytes, kind: str, stamp: float, where: str)
         return livox_scan(data, cdr=reader.cdr)
     message: Any = reader.deserialize(data, kind)
     if kind == _PACKETS:
-        return _unpacked(message, stamp, where)
+        return _decode_velodyne(message, stamp, where)
     return sweep_scan(message) if kind == _SWEEP else pointcloud2.scan_of_pointcloud2(message)
 
 
@@ -143,7 +143,7 @@ def fields_of(reader: BagReader, data: bytes, kind: str) -> str:
     return " ".join(field.name for field in message.fields)
 
 
-def _unpacked(message: Any, stamp: float, where: str) -> Scan:
+def _decode_velodyne(message: Any, stamp: float, where: str) -> Scan:
     """Decode a velodyne_msgs/VelodyneScan; its stamp is its first packet's or its last."""
     packets = [(seconds(packet.stamp), bytes(packet.data)) for packet in message.packets]
     scan = decode(packets, where)

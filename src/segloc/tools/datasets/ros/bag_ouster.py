@@ -22,7 +22,7 @@ from ..gravity import Accelerometer, GravitySource
 from ..packets.ouster_packets import FIELDS, FRAME, IMU_BYTES, Sensor, Turns, gather, read_sensor
 from ..recorded import Found
 from .bag_file import BagFile, connections_of, faults_of
-from .bag_place import placed
+from .bag_place import place_scans
 
 if TYPE_CHECKING:
     from .rosbags_reader import BagReader
@@ -69,7 +69,7 @@ def find(reader: BagReader, paths: tuple[Path, ...], topic: str, name: str, stor
         fields=FIELDS,
         notes=turns.notes,
     )
-    found = placed(found, reader, paths, turns.stamps, turns.firsts)
+    found = place_scans(found, reader, paths, turns.stamps, turns.firsts)
     if found.gravity is not None:
         return found
     return replace(found, gravity=_gravity(reader, topic, sensor, turns))

@@ -160,7 +160,7 @@ class BagGravity:
         with faults_of(self.file.path):
             accelerations, orientation = self._around(k)
         measured = gravity_of(accelerations)
-        found = _oriented(orientation, accelerations) or measured
+        found = _gravity_of_orientation(orientation, accelerations) or measured
         if found is None:
             return None
         T = self.T_sensor_imu
@@ -187,7 +187,7 @@ class BagGravity:
         return np.array(rows, np.float64).reshape(-1, 3), nearest
 
 
-def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
+def _gravity_of_orientation(message: Any, accelerations: Float64) -> Gravity | None:
     """Return gravity from a known orientation that agrees with the accelerations."""
     if message is None:
         return None
@@ -206,7 +206,7 @@ def _oriented(message: Any, accelerations: Float64) -> Gravity | None:
     return Gravity(down, ORIENTATION_ERROR_DEG) if fits else None
 
 
-def placed(
+def place_scans(
     found: Found, reader: BagReader, paths: tuple[Path, ...], stamps: Float64, logged: Int64
 ) -> Found:
     """Return scans with the sensor's poses, mount and gravity, and remarks on unusable ones.

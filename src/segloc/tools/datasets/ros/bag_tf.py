@@ -134,8 +134,8 @@ def mount(edges: Edges, body: str, frame: str) -> Pose | None:
     common = next((name for name in upwards if name in above), None)
     if common is None:
         return None
-    T_common_frame = _fixed(chain(edges, frame, common) or [])
-    T_common_body = _fixed(chain(edges, body, common) or [])
+    T_common_frame = _constant_product(chain(edges, frame, common) or [])
+    T_common_body = _constant_product(chain(edges, body, common) or [])
     if T_common_frame is None or T_common_body is None:
         return None
     return geometry.inverse(T_common_body) @ T_common_frame
@@ -149,7 +149,7 @@ def mount_on_base(edges: Edges, frame: str) -> Pose | None:
     return None
 
 
-def _fixed(edges: list[Edge]) -> Pose | None:
+def _constant_product(edges: list[Edge]) -> Pose | None:
     """Return the product of a chain's transforms if all are constant."""
     T = np.eye(4)
     for edge in edges:

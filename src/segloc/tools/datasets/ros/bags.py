@@ -23,9 +23,9 @@ from ..recorded import Found
 from ..tracks import rising
 from ..world_clouds import stand_still
 from . import bag_ouster
-from .bag_file import BagFile, connections_of, faults_of, opened
+from .bag_file import BagFile, connections_of, faults_of, open_bag
 from .bag_messages import KINDS, defines_times, fields_of, instead_of, scan_of
-from .bag_place import placed
+from .bag_place import place_scans
 
 if TYPE_CHECKING:
     from .rosbags_reader import BagReader
@@ -150,7 +150,7 @@ def bag_paths(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
         return ()
     if (path / "metadata.yaml").is_file():
-        return (path,) if _stored(path) else ()
+        return (path,) if _storage_files(path) else ()
     for suffix in _SUFFIXES:
         if found := sorted(path.glob(f"*{suffix}")):
             return tuple(found)
@@ -162,7 +162,7 @@ def _is_packed(path: Path) -> bool:
     return path.name.endswith(tuple(f"{suffix}{_PACKED}" for suffix in _SUFFIXES))
 
 
-def _stored(path: Path) -> list[Path]:
+def _storage_files(path: Path) -> list[Path]:
     names = [f"*{suffix}{packed}" for suffix in _SUFFIXES[1:] for packed in ("", ".zstd")]
     return sorted(file for name in names for file in path.glob(name))
 
@@ -180,12 +180,12 @@ def find(path: Path, topic: str | None) -> Found:
             "`zstd -d`, or write the metadata with `ros2 bag reindex`"
         )
     name = path.resolve().stem if path.is_file() else path.resolve().name
-    with opened(paths) as reader:
+    with open_bag(paths) as reader:
         chosen = _choose(path, reader, topic)
         if bag_ouster.on(reader, chosen):
             return bag_ouster.find(reader, paths, chosen, name, _kind(paths[0]))
         headers = read_headers(reader, chosen)
-        lost = _lost(reader, chosen, len(headers))
+        lost = _missing_messages(reader, chosen, len(headers))
         headers, notes = _in_order(headers, str(path), chosen)
         fields = _fields(reader, chosen)
         found = Found(
@@ -200,7 +200,7 @@ def find(path: Path, topic: str | None) -> Found:
             notes=(*lost, *notes),
             times_sure=defines_times(reader, chosen),
         )
-        found = placed(found, reader, paths, headers.stamps, headers.logged)
+        found = place_scans(found, reader, paths, headers.stamps, headers.logged)
         if (body := found.body_in_frame) is None:
             return found
         if stand_still(found, body):
@@ -231,7 +231,7 @@ def _raw_topics(reader: BagReader, topic: str, frame: str) -> str:
     return "record the sensor's raw topic, or the one in the body's frame"
 
 
-def _lost(reader: BagReader, topic: str, count: int) -> list[str]:
+def _missing_messages(reader: BagReader, topic: str, count: int) -> list[str]:
     """Return a note if a ROS 2 bag's metadata counts more messages than there are."""
     counted = sum(item.msgcount for item in connections_of(reader, topic))
     if count >= counted:
@@ -245,7 +245,7 @@ def _lost(reader: BagReader, topic: str, count: int) -> list[str]:
 def _kind(path: Path) -> str:
     if path.is_file():
         return _STORAGE[path.suffix]
-    return f"ROS 2 bag, {'MCAP' if '.mcap' in _stored(path)[0].name else 'SQLite'}"
+    return f"ROS 2 bag, {'MCAP' if '.mcap' in _storage_files(path)[0].name else 'SQLite'}"
 
 
 def _choose(path: Path, reader: BagReader, topic: str | None) -> str:
@@ -259,12 +259,12 @@ def _choose(path: Path, reader: BagReader, topic: str | None) -> str:
         raise DatasetError(f"{path}: no topic of scans; topics: {', '.join(others) or 'none'}")
     if topic is not None:
         if topic not in counts:
-            raise DatasetError(f"{path}: no scans on {topic!r}; available: {_listed(counts)}")
+            raise DatasetError(f"{path}: no scans on {topic!r}; available: {_list_topics(counts)}")
         return topic
     filled = [{name: count for name, count in group.items() if count} for group in groups]
     best = next(group for group in [*filled, *groups] if group)
     if len(best) > 1:
-        raise DatasetError(f"{path}: several topics, choose one with --topic: {_listed(best)}")
+        raise DatasetError(f"{path}: several topics, choose one with --topic: {_list_topics(best)}")
     return next(iter(best))
 
 
@@ -292,7 +292,7 @@ def _counts(reader: BagReader, kinds: tuple[str, ...]) -> dict[str, int]:
     return counts
 
 
-def _listed(topics: dict[str, int]) -> str:
+def _list_topics(topics: dict[str, int]) -> str:
     return ", ".join(f"{name} ({count})" for name, count in sorted(topics.items()))
 
 

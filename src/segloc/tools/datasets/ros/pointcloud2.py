@@ -14,7 +14,7 @@ from ....errors import DatasetError
 from ....system.budget import check_points
 from ....types import Float64, Scan
 from ...io.point_times import time_field, time_scale, times_of
-from ..layout import returned
+from ..layout import drop_missing_returns
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
@@ -37,7 +37,7 @@ def scan_of_pointcloud2(cloud: Any) -> Scan:
         raise DatasetError(
             f"no field {str(error).lower()}; fields: {', '.join(columns) or 'none'}"
         ) from error
-    return returned(xyz, _times(columns))
+    return drop_missing_returns(xyz, _times(columns))
 
 
 def _columns(cloud: Any) -> dict[str, NDArray[Any]]:

@@ -33,7 +33,7 @@ MAX_GROWTH = 32
 _INDEX_ENTRY_BYTES = 12  # ROS 1
 
 
-def unpacked(decompressor: Any, data: bytes, size: int | None = None) -> bytes:
+def decompress(decompressor: Any, data: bytes, size: int | None = None) -> bytes:
     """Decompress data of at most ``size`` bytes, if given.
 
     Raise DatasetError if the output is larger than that, or than the limit of a message.
@@ -86,7 +86,7 @@ class _Zstd:
         return getattr(self._module, name)
 
     def decompress(self, data: bytes) -> bytes:
-        return unpacked(self._module.ZstdDecompressor(), data)
+        return decompress(self._module.ZstdDecompressor(), data)
 
     def open(self, file: BinaryIO, mode: str) -> _LimitedFile:
         """Open a compressed file; the limit grows with its size, as recordings may be long."""
@@ -94,7 +94,7 @@ class _Zstd:
         return _LimitedFile(self._module.open(file, mode), limit)
 
 
-def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _limit_profiles(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def limited(profiles: Any) -> Any:
         if isinstance(profiles, str):
             check_metadata(profiles, "the quality of service of a topic")
@@ -103,7 +103,7 @@ def _limited(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return limited
 
 
-def _counted(read_index: Callable[..., None]) -> Callable[..., None]:
+def _limit_records(read_index: Callable[..., None]) -> Callable[..., None]:
     """Limit the records of a ROS 1 bag's index: chunks may share records."""
 
     def counted(reader: Any, place: int, indexes: dict[int, list[Any]]) -> None:
@@ -206,14 +206,14 @@ def replacements() -> list[tuple[Any, str, Callable[[Any], Any]]]:
     """
     zstd = rosbag2_reader.zstd
     ours = {
-        "lz4": lambda data, size: unpacked(_lz4(), data, size),
-        "zstd": lambda data, size: unpacked(zstd.ZstdDecompressor(), data, size),
+        "lz4": lambda data, size: decompress(_lz4(), data, size),
+        "zstd": lambda data, size: decompress(zstd.ZstdDecompressor(), data, size),
     }
     return [
-        (Ros1Reader, "read_index_data", _counted),
-        (rosbag2_reader, "parse_qos", _limited),
-        (storage_mcap, "parse_qos", _limited),
-        (storage_sqlite3, "parse_qos", _limited),
+        (Ros1Reader, "read_index_data", _limit_records),
+        (rosbag2_reader, "parse_qos", _limit_profiles),
+        (storage_mcap, "parse_qos", _limit_profiles),
+        (storage_sqlite3, "parse_qos", _limit_profiles),
         (storage_mcap, "DECOMPRESSORS", lambda known: {**known, **ours}),
         (storage_mcap, "get_msgdef", lambda _: _definition),
         (storage_mcap, "read_string", lambda _: _text),
@@ -283,7 +283,7 @@ class BagReader(AnyReader):  # type: ignore[misc,unused-ignore]
         found = [item for reader in self.readers for item in reader.connections]
         self.cdr = self.is2 and any(map(_is_cdr, found)) | (not any(map(_is_ros1, found)))
         is_read = _is_cdr if self.cdr else _is_ros1
-        self.connections = [_named(item) for item in found if is_read(item)]
+        self.connections = [_with_ros2_type(item) for item in found if is_read(item)]
         self.foreign = [item for item in found if not is_read(item)]
 
     def messages(
@@ -379,7 +379,7 @@ def _is_ros1(item: Any) -> bool:
     return serialization(item) == "ros1"
 
 
-def _named(item: Any) -> Any:
+def _with_ros2_type(item: Any) -> Any:
     """Return a connection with the type's name as in ROS 2, package/msg/Type."""
     package, _, name = item.msgtype.partition("/")
     return item if not name or "/" in name else item._replace(msgtype=f"{package}/msg/{name}")
@@ -392,8 +392,8 @@ def _limit_chunks(reader: AnyReader) -> None:
     both.
     """
     ours = {
-        decompressors[Compression.BZ2.value]: lambda data: unpacked(bz2.BZ2Decompressor(), data),
-        decompressors[Compression.LZ4.value]: lambda data: unpacked(_lz4(), data),
+        decompressors[Compression.BZ2.value]: lambda data: decompress(bz2.BZ2Decompressor(), data),
+        decompressors[Compression.LZ4.value]: lambda data: decompress(_lz4(), data),
     }
     for bag in () if reader.is2 else reader.readers:
         if len({item.id for item in bag.connections}) < len(bag.connections):

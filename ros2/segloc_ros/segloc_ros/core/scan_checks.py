@@ -1,4 +1,4 @@
-"""Detect clouds in a fixed frame: they stand still while the odometry moves."""
+"""Detect clouds in a fixed frame, and clouds of other units or axes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from segloc import geometry
-from segloc.robot import Float32, Float64, Int64, Pose
+from segloc import Scan, geometry
+from segloc.robot import Fault, Float32, Float64, Int64, Pose, scan_findings
 
 _STEP_M = 1.0  # least motion of the odometry between two clouds that are compared
 _DECIDED_M, _DECIDED = 2.0, 2  # motion over which comparisons have to agree, and their number
@@ -18,6 +18,9 @@ _MAX_POINTS = 30_000
 _MIN_CELLS = 30
 _MIN_STILL, _MAX_MOVED = 0.6, 0.75  # agreement as if still; moved, as a share of that
 _OFFSET = 1 << 20
+_CHECKED = 3
+_AXES = (Fault.Z_DOWN, Fault.CAMERA_AXES, Fault.TILT)
+_Z_UP = "publish odometry with z up (REP 103), or check the mount of the LiDAR"
 
 
 class StillClouds:
@@ -83,3 +86,37 @@ def _agreement(cells: Int64, others: Int64) -> float:
         return 0.0
     beside = [others + dx * 2 * _OFFSET + dy for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     return float(np.isin(cells, np.concatenate(beside)).mean())
+
+
+class ScansInOdom:
+    """The first scans of a lost robot, in the axes of its odometry; checked once.
+
+    Attributes
+    ----------
+    fault : str
+        Their unit or their axes; "" if no fault is known.
+    """
+
+    def __init__(self) -> None:
+        self.fault = ""
+        self._scans: list[Scan] = []
+        self._is_checked = False
+
+    def add(self, scan: Scan, T_odom_lidar: Pose) -> None:
+        """Keep a scan, turned but not moved."""
+        if not self._is_checked and len(self._scans) < _CHECKED:
+            points = scan.points @ T_odom_lidar[:3, :3].T.astype(np.float32)
+            self._scans.append(Scan(points))
+
+    def check(self, failed: bool) -> None:
+        """After a query, look for faults if it failed; thread-safe beside :meth:`add`."""
+        if self._is_checked or len(self._scans) < _CHECKED:
+            return
+        self._is_checked = True
+        scans, self._scans = self._scans, []
+        for finding in scan_findings(scans, posed=True) if failed else ():
+            if finding.wrong:
+                is_axis = finding.fault in _AXES
+                axes = f"in the odometry's axes {finding.what}: {_Z_UP}"
+                self.fault = axes if is_axis else str(finding)
+                return
