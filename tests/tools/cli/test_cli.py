@@ -121,6 +121,9 @@ def test_a_second_traversal_is_localized(
     assert "4 of 4" in printed and remarks == "" and len(printed.splitlines()) < 25
     records = read_records(tmp_path / "out")
     assert [r["index"] for r in records] == [6, 12, 18, 24]
+    spent = [r["ms"]["processor"] for r in records]
+    assert min(spent) > 0 and summary["ms"]["processor"] == pytest.approx(np.median(spent), 0.01)
+    assert ", processor " in printed
     found, truth = (
         read_trajectory(p) for p in (tmp_path / "out" / "poses.tum", toy.run_2 / "poses.tum")
     )
