@@ -33,7 +33,8 @@ def hand_over(live: LiveLocalizer, plaza: Plaza, count: int, settled: bool = Tru
 def test_it_says_what_the_core_says(localizer: Localizer, plaza: Plaza) -> None:
     core, messages = LiveCore(localizer, CONFIG), []
     expected = [s for events, _ in walked(plaza, 6) for s in feed(core, events)]
-    with LiveLocalizer(localizer, CONFIG, on_state=messages.append) as live:
+    patient = CONFIG.model_copy(update={"silent_s": WAIT_S})
+    with LiveLocalizer(localizer, patient, on_state=messages.append) as live:
         truth = hand_over(live, plaza, 6)
         assert live.state.status is Status.LOCALIZED and error_m(live.state, truth) < 0.3
         assert (live.scans, live.dropped) == (6, 0)
