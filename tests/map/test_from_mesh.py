@@ -22,7 +22,7 @@ from segloc import (
     geometry,
 )
 from segloc.map.from_mesh import build_from_mesh
-from segloc.map.plan_tour import free_floors, storeys
+from segloc.map.plan_tour import PlanMesh, free_floors, storeys
 from segloc.types import Float64
 
 CONFIG = Config(threads=1)
@@ -84,8 +84,7 @@ def test_scans_of_another_building_are_not_found(site: SegmentMap) -> None:
 
 def test_a_way_leads_through_all_rooms_of_each_storey(plan: Float64) -> None:
     both = np.concatenate([plan, plan + [0, 0, 3.05]]).astype(np.float32)
-    mesh = _native.MeshRays(both)
-    found = list(storeys(free_floors(mesh, both, 1.0)))
+    found = list(storeys(free_floors(PlanMesh.of(both), 1.0)))
     assert len(found) == 2  # and no roof
     for k, floors in enumerate(found):
         (floor,) = floors  # rooms are connected by doorways
@@ -100,7 +99,7 @@ def test_a_way_leads_through_all_rooms_of_each_storey(plan: Float64) -> None:
 def test_no_viewpoint_lies_within_a_solid() -> None:
     block = box((30.0, 0.0, 0.0), (40.0, 10.0, 3.0))
     plan = np.concatenate([storey(3), block]).astype(np.float32)
-    floors = free_floors(_native.MeshRays(plan), plan, 1.0)
+    floors = free_floors(PlanMesh.of(plan), 1.0)
     assert floors and all(floor.eyes[:, 0].max() < 24 for floor in floors)
 
 

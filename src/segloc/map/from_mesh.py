@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _native, geometry
+from .. import geometry
 from ..errors import ConfigError, DatasetError, InvalidScan
 from ..system.checks import MAX_LOCAL_METRES
 from ..system.text import quantity
@@ -19,7 +19,7 @@ from ..types import Float32, Float64, Int64, Scan
 from .build import build_merged_map
 from .config import BuildConfig, checked_build_config
 from .info import MAX_TOLERANCE_M, PLAN, SOURCE, TOLERANCE
-from .plan_tour import Floor, free_floors, storeys
+from .plan_tour import Floor, PlanMesh, free_floors, storeys
 from .segment_map import SegmentMap
 
 Progress = Callable[[int, int], None]
@@ -38,7 +38,7 @@ class PlanDrive:
 
     Parameters
     ----------
-    mesh : MeshRays
+    mesh : PlanMesh
     way : (V, 3) float64
         Viewpoints in the frame of the mesh [m].
     origin : (3,) float64
@@ -46,23 +46,15 @@ class PlanDrive:
     reach_m : float
         Longest range.
     name : str
-    threads : int
     """
 
     stamps = None
 
     def __init__(
-        self,
-        mesh: _native.MeshRays,
-        way: Float64,
-        origin: Float64,
-        reach_m: float,
-        name: str,
-        threads: int,
+        self, mesh: PlanMesh, way: Float64, origin: Float64, reach_m: float, name: str
     ) -> None:
         self.name = name
-        self._mesh, self._way, self._reach_m, self._threads = mesh, way, reach_m, threads
-        self._rays = _rays()
+        self._mesh, self._way, self._reach_m, self._rays = mesh, way, reach_m, _rays()
         self.indices: Int64 = np.arange(len(way), dtype=np.int64)
         self.poses: Float64 = np.array([geometry.rigid(np.eye(3), at + origin) for at in way])
 
@@ -71,8 +63,7 @@ class PlanDrive:
 
     def scan(self, i: int) -> Scan:
         """Return what is visible from viewpoint i."""
-        origins = np.repeat(self._way[i : i + 1].astype(np.float32), len(self._rays), axis=0)
-        ranges, hit = self._mesh.cast(origins, self._rays, self._reach_m, self._threads)
+        ranges, hit = self._mesh.cast(self._way[[i]], self._rays, self._reach_m)
         ranges += np.random.default_rng(i).normal(0.0, _NOISE_M, len(ranges)).astype(np.float32)
         met = hit >= 0
         return Scan(self._rays[met] * ranges[met, None], T_odom_sensor=self.poses[i])
@@ -137,8 +128,8 @@ def build_from_mesh(
             raise ConfigError(f"{name} must be in 0..{most:g} m, not {metres}")
     tell = note or (lambda _: None)
     local, origin = _checked(triangles, tell)
-    mesh = _native.MeshRays(local)
-    floors = free_floors(mesh, local, sensor_height)
+    mesh = PlanMesh.of(local, config.threads)
+    floors = free_floors(mesh, sensor_height)
     if not floors:
         raise DatasetError(
             f"no floor with {sensor_height:g} m of room above it and walls around it in "
@@ -159,11 +150,11 @@ def build_from_mesh(
 
 
 def _drive(
-    mesh: _native.MeshRays, parts: list[Floor], origin: Float64, name: str, config: BuildConfig
+    mesh: PlanMesh, parts: list[Floor], origin: Float64, name: str, config: BuildConfig
 ) -> PlanDrive:
     """Return the drive through one storey."""
     way = np.concatenate([part.way() for part in parts])
-    return PlanDrive(mesh, way, origin, config.local_cloud.radius_m, name, config.threads)
+    return PlanDrive(mesh, way, origin, config.local_cloud.radius_m, name)
 
 
 def _finer(config: BuildConfig) -> BuildConfig:

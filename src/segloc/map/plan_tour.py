@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra, minimum_spanning_tree
 from scipy.spatial import cKDTree
@@ -35,6 +36,51 @@ _MIN_WALLS = 0.2  # share of the horizontal rays that meet something; roofs have
 _INSIDE = 0.9  # share of back faces in view from within a solid
 _EPSILON_M = 1e-3
 _MAX_LAYERS = 200
+
+
+@dataclass(frozen=True)
+class PlanMesh:
+    """Triangles that rays are cast at.
+
+    Attributes
+    ----------
+    triangles : (T, 3, 3) float32
+    rays : MeshRays
+        Of these.
+    threads : int
+        0 is all cores; results do not depend on it.
+    """
+
+    triangles: Float32
+    rays: _native.MeshRays
+    threads: int
+
+    @classmethod
+    def of(cls, triangles: Float32, threads: int = 0) -> PlanMesh:
+        """Prepare (T, 3, 3) triangles."""
+        return cls(triangles, _native.MeshRays(triangles), threads)
+
+    def cast(
+        self, origins: NDArray[np.floating], directions: NDArray[np.floating], most_m: float
+    ) -> tuple[Float32, NDArray[np.int32]]:
+        """Return the range of each ray and the triangle that it meets, -1 if none.
+
+        A single origin or direction, (1, 3), is that of all rays.
+        """
+        starts, rays = np.broadcast_arrays(origins, directions)
+        return self.rays.cast(
+            np.ascontiguousarray(starts, dtype=np.float32),
+            np.ascontiguousarray(rays, dtype=np.float32),
+            most_m,
+            self.threads,
+        )
+
+    def normals(self, rows: NDArray[np.int32]) -> Float64:
+        """Return unit normals of some triangles, (N, 3); zero of those without area."""
+        a, b, c = self.triangles[rows].astype(np.float64).transpose(1, 0, 2)
+        normals: Float64 = np.cross(b - a, c - a)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return normals / np.where(length > 0, length, 1.0)
 
 
 @dataclass(frozen=True)
@@ -117,30 +163,28 @@ class _Reach:
         return path[::-1]
 
 
-def free_floors(mesh: _native.MeshRays, triangles: Float32, sensor_height_m: float) -> list[Floor]:
+def free_floors(mesh: PlanMesh, sensor_height_m: float) -> list[Floor]:
     """Return the connected parts of the free floor of a plan, the lowest first.
 
     Parameters
     ----------
-    mesh : MeshRays
-        Of ``triangles``.
-    triangles : (T, 3, 3) float32
+    mesh : PlanMesh
     sensor_height_m : float
         Height of the viewpoints over the floor.
     """
-    places, edge = _floor(mesh, triangles, sensor_height_m + _HEADROOM_M)
+    places, edge = _floor(mesh, sensor_height_m + _HEADROOM_M)
+    legs = places + [0.0, 0.0, min(_LEGS_M, sensor_height_m)]
+    places = places[_clearance(mesh, legs, 2 * _BESIDE_M) > _BESIDE_M]
     eyes = places + [0.0, 0.0, sensor_height_m]
-    clearance = _clearance(mesh, eyes)
-    legs = _clearance(mesh, places + [0.0, 0.0, min(_LEGS_M, sensor_height_m)])
-    free = np.minimum(clearance, legs) > _BESIDE_M
-    eyes, clearance = eyes[free], clearance[free]
+    clearance = _clearance(mesh, eyes, _MAX_CLEARANCE_M)
+    eyes, clearance = eyes[clearance > _BESIDE_M], clearance[clearance > _BESIDE_M]
     if not len(eyes):
         return []
     _, label = connected_components(_graph(eyes, edge), directed=False)
     rows = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
     parts = [Floor(eyes[part], clearance[part], edge) for part in rows]
     parts = [part for part in parts if part.area_m2 >= _MIN_AREA_M2]
-    return sorted(_in_rooms(parts, mesh, triangles), key=lambda part: np.median(part.eyes[:, 2]))
+    return sorted(_in_rooms(parts, mesh), key=lambda part: float(np.median(part.eyes[:, 2])))
 
 
 def storeys(floors: list[Floor]) -> Iterator[list[Floor]]:
@@ -156,57 +200,53 @@ def storeys(floors: list[Floor]) -> Iterator[list[Floor]]:
         yield storey
 
 
-def _floor(mesh: _native.MeshRays, triangles: Float32, headroom_m: float) -> tuple[Float64, float]:
+def _floor(mesh: PlanMesh, headroom_m: float) -> tuple[Float64, float]:
     """Return the middle of each cell with level ground below free space, (N, 3), and their side.
 
     Rays go down through all surfaces of a column.
     """
-    corners = triangles.reshape(-1, 3)
+    corners = mesh.triangles.reshape(-1, 3)
     low, high = corners.min(axis=0).astype(np.float64), corners.max(axis=0).astype(np.float64)
-    extent = high[:2] - low[:2]
-    edge = max(_CELL_M, math.sqrt(float(np.prod(extent)) / _MAX_COLUMNS))
+    edge = max(_CELL_M, math.sqrt(float(np.prod(high[:2] - low[:2])) / _MAX_COLUMNS))
     axes = [np.arange(a + edge / 2, b, edge) for a, b in zip(low[:2], high[:2], strict=True)]
     xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     above = np.full(len(xy), np.inf)  # height of the surface above
     at = np.full(len(xy), high[2] + 1.0)
-    found: list[Float64] = []
+    found = [np.empty((0, 3))]
     for _ in range(_MAX_LAYERS):
         if not len(xy):
             break
-        origins = np.column_stack([xy, at])
-        ranges, hit = _cast(mesh, origins, np.array([[0.0, 0.0, -1.0]]), high[2] - low[2] + 2.0)
+        down = np.array([[0.0, 0.0, -1.0]])
+        ranges, hit = mesh.cast(np.column_stack([xy, at]), down, high[2] - low[2] + 2.0)
         met = hit >= 0
         xy, above, at, hit = xy[met], above[met], at[met] - ranges[met], hit[met]
-        level = np.abs(_normals(triangles, hit)[:, 2]) > _LEVEL
-        free = level & (above - at > headroom_m)
+        free = (np.abs(mesh.normals(hit)[:, 2]) > _LEVEL) & (above - at > headroom_m)
         found.append(np.column_stack([xy[free], at[free]]))
         above, at = at, at - _EPSILON_M
-    return np.concatenate([np.empty((0, 3)), *found]), edge
+    return np.concatenate(found), edge
 
 
-def _clearance(mesh: _native.MeshRays, eyes: Float64) -> Float64:
+def _clearance(mesh: PlanMesh, eyes: Float64, most_m: float) -> Float64:
     """Return the distance to the next surface at the height of each eye [m], (N,)."""
-    nearest = np.full(len(eyes), _MAX_CLEARANCE_M)
+    nearest = np.full(len(eyes), most_m)
     for direction in _around():
-        ranges, _ = _cast(mesh, eyes, direction[None], _MAX_CLEARANCE_M)
-        np.minimum(nearest, ranges, out=nearest)
+        np.minimum(nearest, mesh.cast(eyes, direction[None], most_m)[0], out=nearest)
     return nearest
 
 
-def _in_rooms(parts: list[Floor], mesh: _native.MeshRays, triangles: Float32) -> list[Floor]:
+def _in_rooms(parts: list[Floor], mesh: PlanMesh) -> list[Floor]:
     """Leave out roofs, and the insides of solids.
 
     These are told by their back faces, if most of the floor is in front of surfaces.
     """
     kept, inside = [], []
     for part in parts:
-        eye = part.eyes[np.argmax(part.clearance)][None]
         directions = _around()
-        _, hit = _cast(mesh, np.repeat(eye, len(directions), axis=0), directions, _FAR_M)
+        _, hit = mesh.cast(part.eyes[[np.argmax(part.clearance)]], directions, _FAR_M)
         met = hit >= 0
         if met.mean() < _MIN_WALLS:
             continue
-        facing = np.einsum("ij,ij->i", _normals(triangles, hit[met]), directions[met])
+        facing = np.einsum("ij,ij->i", mesh.normals(hit[met]), directions[met])
         kept.append(part)
         inside.append((facing > 0).mean() > _INSIDE)
     area = np.array([part.area_m2 for part in kept])
@@ -219,23 +259,6 @@ def _around() -> Float64:
     """Return horizontal directions, (D, 3)."""
     angles = (np.arange(_DIRECTIONS) + 0.5) * (2 * math.pi / _DIRECTIONS)
     return np.column_stack([np.cos(angles), np.sin(angles), np.zeros(_DIRECTIONS)])
-
-
-def _cast(
-    mesh: _native.MeshRays, origins: Float64, directions: Float64, most_m: float
-) -> tuple[Float64, Int64]:
-    """Return the range of each ray and the triangle that it meets, -1 if none."""
-    rays = np.broadcast_to(directions, origins.shape).astype(np.float32)
-    ranges, hit = mesh.cast(origins.astype(np.float32), np.ascontiguousarray(rays), most_m)
-    return ranges.astype(np.float64), hit.astype(np.int64)
-
-
-def _normals(triangles: Float32, rows: Int64) -> Float64:
-    """Return unit normals of some triangles, (N, 3); zero of those without area."""
-    a, b, c = triangles[rows].astype(np.float64).transpose(1, 0, 2)
-    normals: Float64 = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1.0)
 
 
 def _graph(eyes: Float64, edge_m: float) -> csr_array:
