@@ -8,10 +8,11 @@ from samples.plaza import Plaza
 
 from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.likelihood import VerificationConfig
-from segloc.tracker import Tracker, TrackerConfig
+from segloc.tracker import Track, Tracker, TrackerConfig
 from segloc.tracking.belief import Status
 from segloc.types import Descriptors, Float64
 
+ACCUMULATED = TrackerConfig(accumulate=True, every_m=5.5)
 T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 
 
@@ -66,20 +67,20 @@ def test_views_that_are_not_believed_alone_are_once_they_agree(
 
 
 def test_a_robot_is_searched_by_all_it_saw_and_by_a_scan_in_turns_until_its_place_is_known(
-    plaza_map: SegmentMap, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+    plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
-    def asked(localizer: Localizer) -> tuple[list[int], list[object]]:
+    def asked(localizer: Localizer) -> tuple[list[int], list[Track]]:
         """Numbers of the scans that searches use, and the tracks."""
-        counts, describe = list[int](), localizer.describe
-        monkeypatch.setattr(
-            localizer,
-            "describe",
-            lambda cloud, times: (
-                counts.append(getattr(cloud, "num_scans", 1)) or describe(cloud, times)
-            ),
-        )
-        tracker = Tracker(localizer, TrackerConfig(accumulate=True, every_m=5.5))
-        tracks = walk(tracker, plaza, count=9, step=2.0)
+        tracker, counts, tracks = Tracker(localizer, ACCUMULATED), list[int](), list[Track]()
+        for k in range(9):
+            T = geometry.yaw_transform(0.1 * k, (-12 + 2.0 * k, 1.0, 1.8))
+            request = tracker.add(plaza.scan(T, posed=False, seed=k), odometry(T))
+            if request is not None:
+                made = tracker.ask(request)
+                if made.found is not None:
+                    counts.append(getattr(made.scans, "num_scans", 1))
+                tracker.take(made)
+            tracks.append(tracker.track)
         assert tracker.rolling is not None and len(tracker.rolling) == 9
         with pytest.raises(InvalidScan, match="one scan at a time"):
             tracker.update([plaza.scan(np.eye(4))], np.eye(4))

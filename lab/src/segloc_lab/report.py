@@ -21,7 +21,7 @@ from scipy.stats import binomtest
 
 from segloc.errors import ConfigError
 from segloc.system.files import write_text
-from segloc.system.machine import processor
+from segloc.tools.cli.machine import processor
 
 from .script import parser
 

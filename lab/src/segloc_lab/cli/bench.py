@@ -136,8 +136,8 @@ def bench(
     import os
 
     from segloc.system.kernels import instruction_set
-    from segloc.system.machine import processor
     from segloc.tools.cli.console import busy, note, table
+    from segloc.tools.cli.machine import processor
 
     from ..bench import harness, versions
     from ..report import require_new, write

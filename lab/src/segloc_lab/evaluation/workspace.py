@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from segloc import __version__
 from segloc.errors import SeglocError
 from segloc.system.kernels import instruction_set
-from segloc.system.machine import processor
+from segloc.tools.cli.machine import processor
 
 from ..parallel import in_parallel
 

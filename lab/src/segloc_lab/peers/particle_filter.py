@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from segloc.tools.export.nav2 import FREE, OCCUPIED, GridOptions
+from segloc.tools.export import nav2
 
 from .scan_context import ground_below
 
@@ -107,9 +107,9 @@ class Grid:
         assert magic == b"P5"
         width, height = map(int, shape.split())
         cells = np.frombuffer(pixels, np.uint8).reshape(height, width)[::-1]
-        distance = distance_transform_edt(cells != OCCUPIED, edge)
+        distance = distance_transform_edt(cells != nav2.OCCUPIED, edge)
         distance = np.minimum(distance, reach_m).astype(np.float32)
-        free = np.argwhere(cells == FREE).astype(np.int32)
+        free = np.argwhere(cells == nav2.FREE).astype(np.int32)
         return cls(distance, free, np.array([x, y]), edge)
 
     @property
@@ -134,7 +134,7 @@ class Grid:
         return np.column_stack([xy, rng.uniform(-np.pi, np.pi, count)])
 
 
-def planar(points: NDArray[np.floating], options: GridOptions, longest_m: float) -> Floats:
+def planar(points: NDArray[np.floating], options: nav2.GridOptions, longest_m: float) -> Floats:
     """Return the nearest point in each degree of a level cloud, within the grid's heights, (B, 2).
 
     Heights are above the ground below the sensor.

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_positions
 from segloc.tools.datasets import open_sequence
-from segloc.tools.io.clouds import read_cloud
+from segloc.tools.io import clouds
 from segloc.types import Derived, Float64, Int64, Recording, Scan
 
 from .. import kitti00
@@ -216,7 +216,7 @@ def grand_loop(data: Path) -> Material:
     root = data / "utd_grand_loop"
     queries = open_sequence(root / "scans", root / "poses_registered.tum")
     truths = kitti00.poses_of(queries)
-    cloud = np.concatenate(list(read_cloud(root / "map.laz"))).astype(np.float64)
+    cloud = np.concatenate(list(clouds.read_cloud(root / "map.laz"))).astype(np.float64)
     starts = Groundless(Files(data / "kitti_starts"))
     nowhere = far(np.tile(np.eye(4), (len(starts), 1, 1)))
     return Material(

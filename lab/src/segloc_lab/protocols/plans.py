@@ -24,7 +24,7 @@ import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map
 from segloc.geometry import distance_travelled
-from segloc.map.from_mesh import build_from_mesh
+from segloc.map import from_mesh
 from segloc.types import Pose
 
 from ..calibration.rows import errors, is_right
@@ -151,7 +151,7 @@ class Site:
             for other in others:
                 built = built.merge(other)
         else:
-            built = build_from_mesh(self.plan(name).triangles, config)
+            built = from_mesh.build_from_mesh(self.plan(name).triangles, config)
         built.save(path)
         return built, time.process_time() - start
 

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from segloc import geometry
 from segloc.errors import ConfigError
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
-from segloc.tools.export.nav2 import GridOptions, write_nav2
+from segloc.tools.export import nav2
 from segloc.types import Float64
 
 from ..peers.compare import threshold
@@ -67,7 +67,7 @@ from .kidnapping import (
     row,
 )
 
-GRID = GridOptions(resolution_m=0.1)
+GRID = nav2.GridOptions(resolution_m=0.1)
 START_M, START_RAD = 0.5, np.radians(5.0)
 """Standard deviations of the pose that the particle filter gets to begin with."""
 AGREED = 0.9
@@ -165,7 +165,7 @@ class Prepared:
     def grid(self, z: float) -> Grid:
         """Return the grid of the storey whose viewpoints lie nearest to a height."""
         with TemporaryDirectory() as folder:
-            notes = write_nav2(self.world.localizer.prior_map, Path(folder), GRID)
+            notes = nav2.write_nav2(self.world.localizer.prior_map, Path(folder), GRID)
             heights = {
                 found[1]: float(found[2])
                 for note in notes

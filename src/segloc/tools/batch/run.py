@@ -16,7 +16,6 @@ from ... import geometry
 from ...config import Config
 from ...errors import ConfigError, DatasetError
 from ...frontend.local_cloud import Accumulator, window
-from ...frontend.rolling_cloud import RecordedWindows
 from ...localization import Localization
 from ...localizer import Localizer
 from ...map.georeference import Georeference
@@ -27,6 +26,7 @@ from ...tiles import localizer_in, open_map
 from ...types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
 from ..datasets.fixes import Fixes
 from .score import PROCESSOR
+from .windows import RecordedWindows
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One prior for all queries, one per query, or none."""

@@ -175,6 +175,6 @@ def _print_version(verbose: bool) -> None:
 
     print(f"segloc {__version__}")
     if verbose:
-        from ...system.machine import versions
+        from .machine import versions
 
         print("\n".join(versions()))

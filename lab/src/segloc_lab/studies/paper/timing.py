@@ -16,9 +16,9 @@ from segloc.config import Config
 from segloc.descriptors import Descriptor, create
 from segloc.frontend import Segmenter
 from segloc.localizer import Localizer
-from segloc.system.machine import processor
 from segloc.system.stage_times import Clock, StageTimes
 from segloc.tools.batch import query_clouds
+from segloc.tools.cli.machine import processor
 from segloc.tools.datasets import Recording
 from segloc.types import LocalCloud
 

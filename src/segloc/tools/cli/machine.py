@@ -24,7 +24,7 @@ def processor() -> str:
 
 def versions() -> list[str]:
     """Return lines for a bug report: Python, the machine, and installed packages."""
-    from .._native import instruction_set
+    from ..._native import instruction_set
 
     python = f"{platform.python_implementation()} {platform.python_version()}"
     return [
