@@ -156,6 +156,11 @@ class OccupancyProposer:
             self._maps = [_OccupancyMap(cloud, path, *more) for cloud, path in parts]
 
     @property
+    def windows(self) -> int:
+        """Number of the widest windows that are searched; 0 before the grids are built."""
+        return sum(each.windows for each in self._maps or ())
+
+    @property
     def nbytes(self) -> int:
         """Size of the grids in memory."""
         return sum(each.nbytes for each in self._maps or ())
@@ -180,7 +185,7 @@ class _OccupancyMap:
         parts: int,
     ) -> None:
         self._config, self._own, self._parts = config, own, parts
-        self._windows = 0
+        self.windows = 0
         self._native: _native.PoseSearch | None = None
         with suppress(ValueError):  # wider than the kernels' tables
             self._prepare(cloud, path, segmentation)
@@ -203,10 +208,10 @@ class _OccupancyMap:
                 else _windows_under(cloud, width)
             )
             roots = roots[_any_corner(self._own, roots, width)]
-            self._windows = len(roots)
-            if not self._windows:
+            self.windows = len(roots)
+            if not self.windows:
                 return
-            if self._windows * self._parts * MIN_COLUMNS <= config.work:
+            if self.windows * self._parts * MIN_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
                 self._native = _native.PoseSearch(
                     points, slices, roots, config.cell, levels, farthest
@@ -225,7 +230,7 @@ class _OccupancyMap:
         config, columns, slices = self._config, view.columns, view.slices
         if self._native is None or len(columns) < MIN_OCCUPIED:
             return
-        most = min(config.columns, int(share * config.work) // self._windows)
+        most = min(config.columns, max(1, int(share * config.work) // self.windows))
         chosen = evenly(len(columns), most)
         columns, slices = columns[chosen], slices[chosen]
         poses, scores = self._native.search(

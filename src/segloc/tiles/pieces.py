@@ -213,11 +213,13 @@ class TiledOccupancy:
 
     def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose poses, best first; those of a tile in its own square, or beside all."""
-        config, share = self._pieces.config, 1.0 / len(self._tiles)
+        config = self._pieces.config
         view = view_of(query.scene, config.occupancy, config.segmentation)
+        parts = [(tile, self._pieces.occupancy(tile)) for tile in self._tiles]
+        windows = max(1, sum(part.windows for _, part in parts))
         found, most = list[Candidate](), 0
-        for tile in self._tiles:
-            fresh = self._pieces.occupancy(tile).found(view, prior, share)
+        for tile, part in parts:  # by its share of windows: as many columns of the query in each
+            fresh = part.found(view, prior, part.windows / windows)
             most = max(most, len(fresh))
             if fresh:
                 positions = np.stack([c.T_map_local[:3, 3] for c in fresh])
