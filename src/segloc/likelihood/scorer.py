@@ -266,8 +266,10 @@ class Scorer:
                 self._align(place, start if place is first else None)
             assert place.aligned is not None
             self._rivals.append((place.aligned.T_map_local, aligned_measures(place.aligned)))
-        for place in list(self.places):
-            self._merge(place)
+        every, poses = list(self.places), np.stack([place.T_map_local for place in self.places])
+        near = (~self._separation.apart_from(poses, poses)).sum(axis=1)
+        for k in np.flatnonzero(near > 1):  # another one beside itself
+            self._merge(every[k])
         self._score()
 
     def _next(self, thorough: bool) -> Trial | None:

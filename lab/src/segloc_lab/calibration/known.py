@@ -14,7 +14,7 @@ and how fast is fitted, too. The rows of the shipped model are kept beside this 
 world.
 
     python -m segloc_lab.calibration.known --worlds rows/fit --every 3 --rows known.npz
-    python -m segloc_lab.calibration.known --out src/segloc/weights/posterior.json
+    python -m segloc_lab.calibration.known --out src/segloc/weights/posterior*.json
 """
 
 from __future__ import annotations
@@ -275,7 +275,9 @@ def main() -> None:
     options.add_argument("--every", type=int, default=1, help="take each Nth world")
     options.add_argument("--workers", type=int, default=1, help="processes")
     options.add_argument("--rows", type=Path, default=KEPT, help="file of the rows")
-    options.add_argument("--out", type=Path, help="file of the model that is replaced")
+    options.add_argument(
+        "--out", type=Path, nargs="+", default=[], help="files of models, in which it is replaced"
+    )
     args = options.parse_args()
     if args.worlds is not None:
         chosen = worlds_of(args.worlds)[:: args.every]
@@ -289,8 +291,8 @@ def main() -> None:
     weights = Table(("", "value"), [*zip(("constant", *FEATURES), known.weights, strict=True)])
     evidence = table(views, held_out(views), known)
     publish(args.report, "What a view says of a known pose", evidence, weights)
-    if args.out is not None:
-        model = json.loads(args.out.read_text("utf-8"))
+    for path in args.out:
+        model = json.loads(path.read_text("utf-8"))
         model["known"] = known.model_dump()
         seeds = [seed_of(Path(name)) for name in worlds]
         model["card"]["known"] = {
@@ -298,7 +300,7 @@ def main() -> None:
             "data": f"{len(worlds)} of the worlds (seeds {seeds[0]} to {seeds[-1]}), "
             f"{len(views.robot)} comparisons",
         }
-        args.out.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        path.write_text(json.dumps(model, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
 if __name__ == "__main__":
