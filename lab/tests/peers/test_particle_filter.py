@@ -63,6 +63,7 @@ def drive(
     return found
 
 
+@pytest.mark.slow
 def test_a_robot_is_followed_from_a_given_pose(room: Grid) -> None:
     followed = ParticleFilter(room, SETTINGS, 1)
     followed.start((2.4, 6.2, 0.1), 0.5, 0.1)
@@ -72,6 +73,7 @@ def test_a_robot_is_followed_from_a_given_pose(room: Grid) -> None:
     assert len(followed.particles) < SETTINGS.most / 2  # few are needed once it is sure
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_moved_is_found_by_poses_drawn_at_random(room: Grid) -> None:
     followed = ParticleFilter(room, SETTINGS, 1)
     followed.start((2.0, 6.0, 0.0), 0.5, 0.1)

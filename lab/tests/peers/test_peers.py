@@ -95,6 +95,7 @@ def test_the_slope_of_a_correlation_is_its_derivative() -> None:
         assert slope[k] == pytest.approx((high - low) / 2e-5, rel=1e-4, abs=1e-6 * value)
 
 
+@pytest.mark.slow
 def test_contour_context_finds_places_that_are_revisited(tmp_path: Path) -> None:
     """Another drive, with cars and a tenth of the objects replaced, and a drive elsewhere."""
     worlds = [simulated("town", seed, length_m=120.0) for seed in (8, 9)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,8 @@ CHANGED = Conditions(foliage=0.2, replaced=0.2, scaffolding=0.1)
 WORLD_SEED = 65_000
 WORLD_EVERY_M = 3.5
 """Distance between queries in the other simulated worlds [m]."""
+LINE_M = 5.0
+"""Between poses of a path that is known at some places [m]."""
 OTHER_WORLD = 100
 """Added to a seed for the world of the queries from elsewhere."""
 
@@ -211,6 +214,18 @@ class Groundless(Derived[Recording]):
         return Scan(points[points[:, 2] > CUT_M])
 
 
+def along_lines(poses: Float64, step_m: float) -> Float64:
+    """Return poses with others on the lines between them, so that none are far apart."""
+    found = [poses[:1]]
+    for a, b in pairwise(poses):
+        count = int(np.ceil(np.linalg.norm(b[:3, 3] - a[:3, 3]) / step_m))
+        between = np.tile(a, (max(count, 1), 1, 1))
+        between[:, :3, 3] = np.linspace(a[:3, 3], b[:3, 3], len(between) + 1)[1:]
+        between[-1] = b
+        found.append(between)
+    return np.concatenate(found)
+
+
 def grand_loop(data: Path) -> Material:
     """Take a finished cloud without ground, scans of months later, and starts of other drives."""
     root = data / "utd_grand_loop"
@@ -220,7 +235,7 @@ def grand_loop(data: Path) -> Material:
     starts = Groundless(Files(data / "kitti_starts"))
     nowhere = far(np.tile(np.eye(4), (len(starts), 1, 1)))
     return Material(
-        CloudParts("grand loop", cloud, truths),
+        CloudParts("grand loop", cloud, along_lines(truths, LINE_M)),
         [
             Group(queries, np.arange(len(truths), dtype=np.int64), truths),
             Group(starts, np.arange(len(starts), dtype=np.int64), nowhere, ELSEWHERE),

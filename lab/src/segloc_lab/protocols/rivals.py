@@ -156,23 +156,24 @@ class Prepared:
     def contour_contexts(self) -> ContourContexts:
         return ContourContexts(self.views, ContourSettings())
 
-    def prepare(self) -> None:
-        """Make what belongs to the map before the first scan comes."""
-        assert self.scan_contexts and self.contour_contexts
-        for view in range(len(self.views)):
-            self.places.target(view)
+    def prepare(self, system: str) -> None:
+        """Make what a system keeps of the map before the first scan comes."""
+        if system == "particle-filter":
+            assert self.grids
+        elif system in ONCE:
+            assert self.scan_contexts and self.contour_contexts
+            for view in range(len(self.views)):
+                self.places.target(view)
 
-    def grid(self, z: float) -> Grid:
-        """Return the grid of the storey whose viewpoints lie nearest to a height."""
+    @cached_property
+    def grids(self) -> list[tuple[float, Grid]]:
+        """The grid of each storey, and the height of its viewpoints [m]."""
+        reach_m = FilterSettings().reach_m
         with TemporaryDirectory() as folder:
             notes = nav2.write_nav2(self.world.localizer.prior_map, Path(folder), GRID)
-            heights = {
-                found[1]: float(found[2])
-                for note in notes
-                if (found := re.match(r"(map_\d+): .* z = (\S+) m", note))
-            }
-            name = min(heights, key=lambda k: abs(heights[k] - z)) if heights else "map"
-            return Grid.load(Path(folder) / f"{name}.yaml", FilterSettings().reach_m)
+            storeys = [re.match(r"(map_\d+): .* z = (\S+) m", note) for note in notes]
+            named = [(float(found[2]), found[1]) for found in storeys if found] or [(0.0, "map")]
+            return [(z, Grid.load(Path(folder) / f"{name}.yaml", reach_m)) for z, name in named]
 
 
 def segloc(known: Prepared, carried: Carried, number: int) -> tuple[list[bool], list[float | None]]:
@@ -184,8 +185,10 @@ def segloc(known: Prepared, carried: Carried, number: int) -> tuple[list[bool], 
 
 def particle_filter(known: Prepared, carried: Carried, number: int) -> list[Answer]:
     """Follow a robot by a particle filter that begins near its true pose."""
-    settings, truth = FilterSettings(), known.world.truths_of(carried)[0]
-    followed = ParticleFilter(known.grid(float(truth[2, 3])), settings, known.world.seed + number)
+    settings, truths = FilterSettings(), known.world.truths_of(carried)
+    truth = truths[0]
+    _, grid = min(known.grids, key=lambda each: abs(each[0] - truth[2, 3]))
+    followed = ParticleFilter(grid, settings, known.world.seed + number)
     rng = np.random.default_rng([known.world.seed, number, 1])
     begin = np.array([truth[0, 3], truth[1, 3], geometry.heading(truth)])
     x, y, yaw = (begin + rng.normal(0.0, (START_M, START_M, START_RAD))).tolist()
@@ -201,7 +204,7 @@ def particle_filter(known: Prepared, carried: Carried, number: int) -> list[Answ
         followed.update((float(step[0, 3]), float(step[1, 3]), geometry.heading(step)), beams)
         (x, y, yaw), agreed = followed.estimate()
         # Its height is not of this filter: the true one stands in for it.
-        z = float(known.world.truths_of(carried)[k][2, 3])
+        z = float(truths[k, 2, 3])
         tilt = geometry.inverse(now) @ T
         answers.append((geometry.yaw_transform(yaw, (x, y, z)) @ tilt, agreed))
     return answers
@@ -249,8 +252,7 @@ def follow(known: Prepared, carried: Carried, number: int, system: str) -> Follo
     world, truths = known.world, known.world.truths_of(carried)
     for k in range(len(carried)):
         carried.scan(k)  # rays are cast before anything is timed
-    if system in ONCE:
-        known.prepare()
+    known.prepare(system)
     begun = time.process_time()
     if system == "segloc":
         right, scores = segloc(known, carried, number)
