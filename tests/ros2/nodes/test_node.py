@@ -561,8 +561,7 @@ def test_the_lifecycle_is_that_of_ros(peer: Peer, maps: Path, tmp_path: Path) ->
         assert localized(peer, truth), peer.said
         assert {(beat.id, beat.active) for beat in beats} == {("segloc", True)}
         assert to(Transition.TRANSITION_DEACTIVATE)
-        peer.spin(0.5)
-        assert not beats[-1].active
+        peer.until(lambda: not beats[-1].active, WAIT_S)
         peer.clear()
         peer.walk(2, begin=(-8.0, 1.3))
         assert not peer.heard["pose"] and not peer.heard["tf"]
