@@ -236,7 +236,7 @@ def report(records: list[Record], folder: Path | None) -> None:
         "OS0-128 with half of its firings on a wheeled robot. Processor time of one thread."
     )
     built = [
-        (r["world"], r["map"], r["viewpoints"], r["segments"], r["build_s"])
+        (r["world"], r["map"], r["viewpoints"], r["segments"], r["build_s"] or None)
         for r in records
         if r["map"] in (SCANS, TRUE, DEVIATING)
     ]
