@@ -49,7 +49,8 @@ def test_rivals_follow_a_robot_at_its_smallest(
     for each in found:
         assert len(each.right) == len(each.scores) == each.first + len(each.path_m)
     followed = next(f for f in found if f.system == "particle-filter")
-    assert all(followed.right[5 : followed.first])  # until it is put elsewhere
+    begun = followed.within.index(True) + 5
+    assert all(followed.right[begun : followed.first])  # until it is put elsewhere
     printed = capsys.readouterr().out
     assert all(f"| {name} |" in printed for name in ("segloc", *rivals.ONCE.values()))
     # Answers accepted at one world by what another one implies: nothing without another.
