@@ -33,7 +33,10 @@ class Side:
 
     def create_publisher(self, kind: Any, topic: str, depth: int) -> Any:
         sent = self.sent.setdefault(topic, [])
-        return SimpleNamespace(publish=lambda m: sent.append((m.instance_id, m.active)))
+        return SimpleNamespace(
+            publish=lambda m: sent.append((m.instance_id, m.active)),
+            wait_for_all_acked=lambda timeout: True,
+        )
 
     def create_subscription(self, kind: Any, topic: str, heard: Any, depth: int) -> Any:
         self.heard[topic] = heard
@@ -60,6 +63,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     message = SimpleNamespace(Status=status)
     monkeypatch.setitem(sys.modules, "bond", SimpleNamespace(msg=message))
     monkeypatch.setitem(sys.modules, "bond.msg", message)
+    monkeypatch.setitem(sys.modules, "rclpy", SimpleNamespace())
+    monkeypatch.setitem(
+        sys.modules, "rclpy.duration", SimpleNamespace(Duration=lambda seconds: None)
+    )
     monkeypatch.setattr(bond_port.time, "monotonic", lambda: clock.now)
     return clock
 

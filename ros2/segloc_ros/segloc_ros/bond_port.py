@@ -14,6 +14,8 @@ PERIOD_S = 0.25
 """Time between heartbeats [s]; Nav2's nodes send four to ten per second."""
 TIMEOUT_S = 4.0
 """Time without heartbeats of the other end after which a bond is broken [s]."""
+LAST_S = 0.5
+"""Time in which the last message reaches the manager before its publisher ends [s]."""
 
 
 class BondPort:
@@ -26,8 +28,9 @@ class BondPort:
 
     def __init__(self, node: Node, clock: Clock) -> None:
         from bond.msg import Status
+        from rclpy.duration import Duration
 
-        self._type, self._node = Status, node
+        self._type, self._node, self._last = Status, node, Duration(seconds=LAST_S)
         self._instance, self._other = str(uuid.uuid4()), ""
         self._received_s, self._is_broken = 0.0, False
         topics = ("bond", f"bond/{node.get_name()}")
@@ -45,6 +48,7 @@ class BondPort:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in self._publishers:
+            publisher.wait_for_all_acked(self._last)
             self._node.destroy_publisher(publisher)
 
     def _beat(self) -> None:

@@ -1,7 +1,7 @@
 """Contour Context, then GICP from its best places, then overlap.
 
-Written from the paper (Jiang and Shen, ICRA 2023) alone; the authors' code, under the GPL, was
-neither read nor used. The steps are the paper's:
+After the paper (Jiang and Shen, ICRA 2023), by its stages; the authors' code, under the GPL, was
+neither read nor used, so details may differ from theirs:
 
 1. The highest point in each cell of a grid seen from above, cut at several heights. Connected cells
    of a slice are a contour: its number of cells, centre, covariance and mean height.
