@@ -91,7 +91,7 @@ XYZW = np.array([[0.0, 1, 2, 3, 0, 0, 0, 1]])
         (lambda p: Scan(Held(points=p)), r"np\.asarray\(points\.points\)"),
         (lambda p: Scan(None), "not NoneType"),
         (lambda p: Scan(OnGraph()), r"points\.detach\(\)\.cpu\(\)\.numpy\(\)"),
-        (lambda p: Scan(Path("scan.pcd")), r"segloc\.io\.read_scan\(path\)\.points"),
+        (lambda p: Scan(Path("scan.pcd")), r"segloc\.tools\.io\.read_scan\(path\)\.points"),
         (lambda p: Scan(Held(point_step=16)), r"read_points\(points\)"),
         (lambda p: Scan(p.tobytes()), r"np\.frombuffer"),
         (lambda p: Scan(np.zeros((3, 64, 128))), r"np\.moveaxis\(points, 0, -1\)"),
@@ -104,7 +104,7 @@ XYZW = np.array([[0.0, 1, 2, 3, 0, 0, 0, 1]])
         (lambda p: SegmentMap.from_scans([p], np.eye(4)[None, :3]), "append the row 0 0 0 1"),
         (lambda p: SegmentMap.from_scans([p], np.eye(4).reshape(1, 16)), r"reshape\(-1, 4, 4\)"),
         (lambda p: SegmentMap.from_scans("folder"), r"segloc\.open_sequence"),
-        (lambda p: SegmentMap.from_cloud("map.pcd"), r"segloc\.io\.clouds\.read_cloud\(path\)"),
+        (lambda p: SegmentMap.from_cloud("map.pcd"), r"segloc\.tools\.io\.clouds\.read_cloud\(path\)"),
         (lambda p: SegmentMap.from_cloud(Held(points=p)), r"np\.asarray\(cloud\.points\)"),
     ],
 )
