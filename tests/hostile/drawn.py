@@ -195,7 +195,7 @@ def messages(draw: Draw) -> Iterator[methodcaller]:
             yield methodcaller("on_click", click)
         elif what == 10:
             yield methodcaller("on_fix", _fix(draw))
-            yield methodcaller("quiet", float(draw.below(100)))
+            yield methodcaller("report_silence")
         elif draw.below(2):
             yield methodcaller("on_livox", _livox(draw, frame, stamp))
         else:

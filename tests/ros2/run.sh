@@ -42,6 +42,8 @@ if [[ -d ../shared/ros2_launch ]]; then
   sources+=(../shared/ros2_launch)
   export SEGLOC_ROS_LAUNCH=$PWD/../shared/ros2_launch
 fi
+# A module that was removed would stay installed, and be imported.
+rm -rf "$ws"/{build,install}/segloc_{ros,autoware}
 colcon --log-base "$ws/log" build --build-base "$ws/build" --install-base "$ws/install" \
   --base-paths "${sources[@]}" --event-handlers console_direct- \
   --cmake-args "-DPython3_EXECUTABLE=$home/bin/python" -DBUILD_TESTING=OFF
