@@ -104,7 +104,7 @@ XYZW = np.array([[0.0, 1, 2, 3, 0, 0, 0, 1]])
         (lambda p: SegmentMap.from_scans([p], np.eye(4)[None, :3]), "append the row 0 0 0 1"),
         (lambda p: SegmentMap.from_scans([p], np.eye(4).reshape(1, 16)), r"reshape\(-1, 4, 4\)"),
         (lambda p: SegmentMap.from_scans("folder"), r"segloc\.open_sequence"),
-        (lambda p: SegmentMap.from_cloud("map.pcd"), r"segloc\.tools\.io\.clouds\.read_cloud\(path\)"),
+        (lambda p: SegmentMap.from_cloud("map.pcd"), r"tools\.io\.clouds\.read_cloud\(path\)"),
         (lambda p: SegmentMap.from_cloud(Held(points=p)), r"np\.asarray\(cloud\.points\)"),
     ],
 )
