@@ -35,8 +35,8 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 
 from ..script import parser
-from .exchange import Clouds, opened, run
-from .scan_context import Candidate, Places, Query, ground_below
+from .exchange import Clouds, run
+from .scan_context import Candidate, Propose, answer_both, ground_below
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -451,28 +451,13 @@ class _Correlation:
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by the correlation of contours alone."""
-    systems = "contour_context", "contour_context-alone"
-    views, queries, (verified, alone), todo = opened(folder, options, *systems)
-    if not todo:
-        return
     settings = Settings(options.cell, options.reach, tuple(options.levels), options.top)
-    contexts, places = ContourContexts(views, settings), Places(views)
-    alone.map_bytes = np.array(contexts.nbytes)
-    verified.map_bytes = np.array(contexts.nbytes + places.nbytes)
-    for q in todo:
-        with verified.timed(q), alone.timed(q):
-            candidates = contexts.candidates(queries[q])
-        if candidates:
-            alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
-        for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is queried
-        with verified.timed(q):
-            query = Query(queries[q])
-            refined_ = [places.refined(query, c.T_map_query, c.view) for c in candidates]
-        if refined_:
-            verified.give(q, *max(refined_, key=lambda item: item[1]))
-        for answers, system in zip((verified, alone), systems, strict=True):
-            answers.save(folder, system, q)
+
+    def prepared(views: Clouds) -> tuple[Propose, int]:
+        contexts = ContourContexts(views, settings)
+        return contexts.candidates, contexts.nbytes
+
+    answer_both(folder, options, "contour_context", prepared)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ lanes.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -190,28 +190,55 @@ def sideways(offsets_m: list[float]) -> Floats:
     return np.array([(0.0, offset, 0.0) for offset in offsets_m])
 
 
-def answer(folder: Path, options: argparse.Namespace) -> None:
-    """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
-    systems = "scan_context", "scan_context-alone"
+Propose = Callable[[NDArray[np.float32]], list[Candidate]]
+"""Returns the places that look most like a query's points, the best first."""
+
+
+def answer_both(
+    folder: Path,
+    options: argparse.Namespace,
+    system: str,
+    prepared: Callable[[Clouds], tuple[Propose, int]],
+) -> None:
+    """Write answers of a system by overlap after GICP, and by its own distance alone.
+
+    ``prepared`` returns what proposes places among views, and its size in bytes.
+    """
+    systems = system, f"{system}-alone"
     views, queries, (verified, alone), todo = opened(folder, options, *systems)
     if not todo:
         return
-    contexts, places = ScanContexts(views, options.radius), Places(views)
-    alone.map_bytes = np.array(contexts.nbytes)
-    verified.map_bytes = np.array(contexts.nbytes + places.nbytes)
+    (propose, nbytes), places = prepared(views), Places(views)
+    alone.map_bytes = np.array(nbytes)
+    verified.map_bytes = np.array(nbytes + places.nbytes)
     for q in todo:
         with verified.timed(q), alone.timed(q):
-            shifts = sideways(options.shifts)
-            candidates = contexts.candidates(queries[q], shifts, options.top)
-        alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
+            candidates = propose(queries[q])
+        if candidates:
+            alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
         for candidate in candidates:
             places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q):
             query = Query(queries[q])
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
-        verified.give(q, *max(refined, key=lambda item: item[1]))
-        for answers, system in zip((verified, alone), systems, strict=True):
-            answers.save(folder, system, q)
+        if refined:
+            verified.give(q, *max(refined, key=lambda item: item[1]))
+        for answers, name in zip((verified, alone), systems, strict=True):
+            answers.save(folder, name, q)
+
+
+def answer(folder: Path, options: argparse.Namespace) -> None:
+    """Write answers by overlap after GICP, and by Scan Context's own distance alone."""
+
+    def prepared(views: Clouds) -> tuple[Propose, int]:
+        contexts = ScanContexts(views, options.radius)
+
+        def propose(points: NDArray[np.float32]) -> list[Candidate]:
+            return contexts.candidates(points, sideways(options.shifts), options.top)
+
+        return propose, contexts.nbytes
+
+    answer_both(folder, options, "scan_context", prepared)
 
 
 def main() -> None:
