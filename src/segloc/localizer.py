@@ -101,7 +101,7 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
-        self.proposers = _proposers(prior_map, config) if proposers is None else tuple(proposers)
+        self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -287,12 +287,16 @@ class Localizer:
         return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
 
 
-def _proposers(prior_map: SegmentMap, config: Config) -> tuple[Proposer, ...]:
-    """Return the enabled proposers, in order of use."""
+def proposers_of(
+    prior_map: SegmentMap, config: Config, occupancy: Proposer | None = None
+) -> tuple[Proposer, ...]:
+    """Return the enabled proposers, in order of use; ``occupancy`` is by default of the map."""
     found = [create_proposer(name, prior_map, config) for name in config.proposers]
     if config.occupancy.enabled:
         cloud, path = prior_map.voxel_cloud, prior_map.trajectory
-        found.append(OccupancyProposer(cloud, path, config.occupancy, config.segmentation))
+        found.append(
+            occupancy or OccupancyProposer(cloud, path, config.occupancy, config.segmentation)
+        )
     return tuple(found)
 
 

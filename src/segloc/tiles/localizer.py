@@ -14,12 +14,12 @@ from ..config import Config
 from ..errors import ConfigError
 from ..likelihood import Posterior
 from ..localization import Reason
-from ..localizer import Localizer
+from ..localizer import Localizer, proposers_of
 from ..map.segment_map import SegmentMap
 from ..pipeline import Search
 from ..prior import Prior, within
 from ..proposals.coarse_vote import CoarseVoter
-from ..proposals.proposer import Estimator, Query, create
+from ..proposals.proposer import Estimator, Query
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
@@ -242,14 +242,12 @@ class TiledLocalizer(Localizer):
         def made() -> Localizer:
             with times("tiles"):
                 part, config = self.tiles.together(chosen, cloud_later=True), self.config
-                proposers = [create(name, part, config) for name in config.proposers]
-                if config.occupancy.enabled:
-                    proposers.append(TiledOccupancy(self._pieces, chosen))
+                occupancy = TiledOccupancy(self._pieces, chosen)
                 return Localizer(
                     part,
                     config,
                     estimator=self.estimator,
-                    proposers=proposers,
+                    proposers=proposers_of(part, config, occupancy),
                     likelihood=TiledLikelihood(self._pieces, chosen, ground=part.has_ground),
                     clock=self.clock,
                 )
