@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -27,8 +26,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
-_FIRST = 2
-"""Candidates of each proposer that are among the promising ones, by its own order."""
+RIVALS = 3
+"""Places that overlap most before alignment: with the best of them each pose is compared."""
 _MORE = 4
 """Further places that may be aligned: those about the best one."""
 
@@ -129,8 +128,6 @@ class Trial:
         Number of distinct query segments that agree with the pose.
     overlap : float
         Overlap before alignment.
-    rank : int
-        Number of better candidates by its own proposer.
     known : (4, 4) float64 or None
         Pose, known from elsewhere, that is measured to the end, whatever it promises.
     measures : tuple of float
@@ -148,7 +145,6 @@ class Trial:
     T_map_local: Pose
     inliers: int
     overlap: float
-    rank: int
     known: Pose | None = None
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
@@ -217,12 +213,7 @@ class Scorer:
             self._inliers_there = np.array([c.inliers for c in candidates])
         for place in self.places:
             self._count(place)
-        count = Counter[str]()
-        poses = []
-        for c in candidates:
-            poses.append((c.T_map_local, c.inliers, count[c.proposer]))
-            count[c.proposer] += 1
-        self._consider(poses, known)
+        self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""
@@ -254,16 +245,17 @@ class Scorer:
         return Posterior.of(scored, self._model.lapse, left)
 
     def _meet_rivals(self) -> None:
-        """Align the most promising places: with the best of them each pose is compared."""
+        """Align the most promising place, and the rivals that each pose is compared with."""
         if not self.places:
             return
         first = max(self.places, key=lambda place: place.rough)
         start = self._surround(first)
+        if first.aligned is None:
+            self._align(first, start)
         self._rivals = []
-        promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
-        for place in promising[: self._config.max_places]:
+        for place in sorted(self.places, key=lambda place: -place.overlap)[:RIVALS]:
             if place.aligned is None:
-                self._align(place, start if place is first else None)
+                self._align(place)
             assert place.aligned is not None
             self._rivals.append((place.aligned.T_map_local, aligned_measures(place.aligned)))
         every, poses = list(self.places), np.stack([place.T_map_local for place in self.places])
@@ -335,18 +327,16 @@ class Scorer:
         self._surrounded.append(place.T_map_local)
         around = self._map.around(place.T_map_local, self._query)
         near = [T for T in around.rivals if self._allowed(T)]
-        self._consider([(T, self._inliers(T), _FIRST) for T in near])
+        self._consider([(T, self._inliers(T)) for T in near])
         return around.start
 
-    def _consider(
-        self, proposed: Sequence[tuple[Pose, int, int]], known: Sequence[Pose] = ()
-    ) -> None:
-        """Add poses with their inliers and ranks, known ones or the most promising at a place."""
-        poses = [*((T, self._inliers(T), 0) for T in known), *proposed]
+    def _consider(self, proposed: Sequence[tuple[Pose, int]], known: Sequence[Pose] = ()) -> None:
+        """Add poses with their inliers, known ones or the most promising at a place."""
+        poses = [*((T, self._inliers(T)) for T in known), *proposed]
         if not poses:
             return
         overlaps = self._map.rough_overlap([T for T, *_ in poses], self._query)
-        fresh = [Trial(T, n, o, k) for (T, n, k), o in zip(poses, overlaps, strict=True)]
+        fresh = [Trial(T, n, o) for (T, n), o in zip(poses, overlaps, strict=True)]
         for place, T in zip(fresh, known, strict=False):
             place.known = T
         begun = [place for place in self.places if place.aligned is not None]
@@ -378,7 +368,6 @@ class Scorer:
         """Keep the better of two that were measured at one place."""
         for other in self._same(place):
             worse, better = sorted((place, other), key=_merit)
-            better.rank = min(place.rank, other.rank)
             better.known = worse.known if better.known is None else better.known
             self.places = [each for each in self.places if each is not worse]
             if worse is place:

@@ -32,6 +32,7 @@ from scipy.special import expit, logit, logsumexp
 from segloc.likelihood import (
     CHANCE_RIVAL,
     FEATURES,
+    RIVALS,
     Count,
     Evidence,
     Promise,
@@ -48,8 +49,6 @@ from .worlds import KINDS
 RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
-REPEATED = 4
-"""Fits until the rivals stay the same."""
 FOLDS = 12
 KEPT = Path(__file__).with_name("posterior-rows.npz")
 """Rows to which the shipped weights were fitted."""
@@ -166,13 +165,13 @@ def described(rows: Float32) -> Float64:
     return np.array(features, np.float64).reshape(-1, len(FEATURES))
 
 
-def beside_rivals(records: Records, rough: Promise) -> Records:
-    """Compare each pose with the rival among the most promising ones, as a scorer does."""
-    promise = np.where(records.poses, _known(records.before, len(ROUGH)) @ rough.weights, -np.inf)
-    rank = (-promise).argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+def beside_rivals(records: Records) -> Records:
+    """Compare each pose with the rival among those that overlap most, as a scorer does."""
+    rough = np.where(records.poses, records.before[..., 0], -np.inf)
+    rank = (-rough).argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
     overlap, seen = (records.before[..., len(ROUGH) + k] for k in range(2))
     chance, none = CHANCE_RIVAL
-    met = np.where(records.poses & (rank < VerificationConfig().max_places), overlap, -np.inf)
+    met = np.where(records.poses & (rank < RIVALS), overlap, -np.inf)
     order = (-met).argsort(axis=1, kind="stable")[:, :2]
     features = records.features.copy()
     here = np.arange(records.poses.shape[1])
@@ -186,18 +185,11 @@ def beside_rivals(records: Records, rough: Promise) -> Records:
 
 
 def fitted(records: Records) -> tuple[Records, Float64, dict[str, Promise]]:
-    """Fit the weights, and what a place promises; return also the features beside rivals.
-
-    Which places are rivals depends on the promise, and that on the weights: both are repeated.
-    """
-    promise = promises(records, records.right[records.poses])["rough"]
-    for _ in range(REPEATED):
-        beside = beside_rivals(records, promise)
-        weights = fit(beside)
-        log_ratio = (beside.features @ weights[:-1] - weights[-1])[records.poses]
-        found = promises(records, log_ratio > 0.0)
-        promise = found["rough"]
-    return beside, weights, found
+    """Fit the weights, and what a place promises; return also the features beside rivals."""
+    beside = beside_rivals(records)
+    weights = fit(beside)
+    log_ratio = (beside.features @ weights[:-1] - weights[-1])[records.poses]
+    return beside, weights, promises(records, log_ratio > 0.0)
 
 
 def promises(records: Records, competes: Mask) -> dict[str, Promise]:
