@@ -29,13 +29,14 @@ int layer_of(double above) {
 // Layers of the map's occupancy around a place, each a plane of bytes.
 class Planes {
  public:
-  Planes(const PointIndex& map, const double* centre, double reach, double cell)
+  // Cells up to `reach` metres along x and y; the map's points up to `range`.
+  Planes(const PointIndex& map, const double* centre, double reach, double range, double cell)
       : cells_per_metre_(1.0 / cell),
         half_(static_cast<int>(std::ceil(reach / cell)) + 1),
         side_(2 * half_ + 1),
         values_(static_cast<std::size_t>(kLayers) * side_ * side_ + kRun, 0) {
     std::vector<std::uint8_t> occupied(values_.size(), 0);
-    map.visit(centre[0], centre[1], reach * std::sqrt(2.0), [&](const PointGrid::Point& p) {
+    map.visit(centre[0], centre[1], range, [&](const PointGrid::Point& p) {
       mark(p[0] - centre[0], p[1] - centre[1], p[2] - centre[2], occupied);
     });
     for (int y = 0; y < side_; y += kBlock) {
@@ -193,8 +194,9 @@ Correlation correlate(const PointIndex& map, const float* points, std::size_t m,
                       const std::vector<double>& headings, const CorrelationOptions& options) {
   const double centre[3] = {T[3], T[7], T[11]};
   const int half = static_cast<int>(std::lround(options.half_width / options.cell));
-  const double reach = options.range + (half + 2) * options.cell;
-  const Planes planes(map, centre, reach, options.cell);
+  const double shift = (half + 2) * options.cell;
+  const Planes planes(map, centre, options.range + shift,
+                      options.range + (shift + options.cell) * std::sqrt(2.0), options.cell);
   Correlation result;
   result.width = 2 * static_cast<std::size_t>(half) + 1;
   for (const double heading : headings) {

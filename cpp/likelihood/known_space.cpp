@@ -57,7 +57,7 @@ KnownSpace::Image KnownSpace::image(std::size_t viewpoint) const {
   });
   RangeImage seen(options_.bin_deg);
   seen.add(rays.data(), rays.size() / 3, options_.half_width, static_cast<float>(options_.range));
-  Image made = std::make_shared<const FreeSpace>(seen);
+  Image made = std::make_shared<const FreeSpace>(std::move(seen));
   const std::lock_guard<std::mutex> lock(mutex_);
   if (kept_.find(viewpoint) == kept_.end()) {
     used_.push_front(viewpoint);

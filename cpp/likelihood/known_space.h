@@ -28,7 +28,7 @@ struct KnownSpaceOptions {
   double half_width = 0.2;    // half width of a point of the thinned map, metres
   std::size_t most = 8;       // nearest viewpoints used
   double storey = 1.5;        // height difference of a viewpoint on another storey, metres
-  std::size_t images = 64;    // range images that are kept
+  std::size_t images = 256;   // range images that are kept
 };
 
 // Range images of a map from viewpoints, (v, 3), where the sensor was when it was made. G. Kim,

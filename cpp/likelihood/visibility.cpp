@@ -82,26 +82,21 @@ void RangeImage::widen(const float* point, std::size_t pixel, double half_width)
   }
 }
 
-RangeImage RangeImage::eroded() const {
-  RangeImage least = *this;
-  const int rows = grid_.rows;
-  std::vector<float> across(rows + 2, kFar);  // the least of three columns, between two ends
-  for (int c = 0; c < grid_.columns; ++c) {
-    const float *before = column(c - 1), *here = column(c), *after = column(c + 1);
-    for (int r = 0; r < rows; ++r) {
-      across[r + 1] = std::min(std::min(before[r], here[r]), after[r]);
-    }
-    float* to = least.column(c);
-    for (int r = 0; r < rows; ++r) {
-      to[r] = std::min(std::min(across[r], across[r + 1]), across[r + 2]);
-    }
+float RangeImage::least_about(std::size_t pixel) const {
+  const int middle = static_cast<int>(pixel) / grid_.rows, row = static_cast<int>(pixel) % grid_.rows;
+  const int low = std::max(row - 1, 0), high = std::min(row + 1, grid_.rows - 1);
+  float least = kFar;
+  for (int c = middle - 1; c <= middle + 1; ++c) {
+    const float* of = column(c);
+    least = std::min(least, *std::min_element(of + low, of + high + 1));
   }
   return least;
 }
 
 bool FreeSpace::holds(const float* point, double range, double margin) const {
   const std::size_t pixel = image_.at(point);
-  return image_[pixel] < kFar && least_[pixel] > range + std::max(margin, kSlant * range);
+  const double behind = range + std::max(margin, kSlant * range);
+  return image_[pixel] < kFar && image_[pixel] > behind && image_.least_about(pixel) > behind;
 }
 
 std::size_t RangeImage::at(const float* point) const {

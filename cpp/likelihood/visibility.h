@@ -21,9 +21,9 @@ class RangeImage {
   // Points up to `farthest` metres away; each stands for all within `half_width` metres of it.
   void add(const float* points, std::size_t count, double half_width = 0.0,
            float farthest = std::numeric_limits<float>::infinity());
-  // The least of each pixel and the eight about it.
-  RangeImage eroded() const;
   std::size_t at(const float* point) const;
+  // The least of a pixel and the eight about it.
+  float least_about(std::size_t pixel) const;
   float operator[](std::size_t pixel) const { return nearest_[pixel]; }
 
  private:
@@ -43,7 +43,7 @@ class RangeImage {
 // Free space around a sensor, by its range image.
 class FreeSpace {
  public:
-  explicit FreeSpace(const RangeImage& image) : image_(image), least_(image.eroded()) {}
+  explicit FreeSpace(RangeImage image) : image_(std::move(image)) {}
   // Whether something is measured in a point's direction, and all that is there and about it lies
   // more than `margin` metres, and more than a share of the range, behind the point.
   bool holds(const float* point, double range, double margin) const;
@@ -53,7 +53,7 @@ class FreeSpace {
   }
 
  private:
-  RangeImage image_, least_;
+  RangeImage image_;
 };
 
 // The highest ground of each cell and of the eight about it.
