@@ -25,7 +25,6 @@ from .registration import ErrorModel as ErrorModel
 from .registration import Registered as Registered
 from .registration import Target as Target
 from .registration import thinned as thinned
-from .scorer import RIVALS as RIVALS
 from .scorer import Likelihood as Likelihood
 from .scorer import Scorer as Scorer
 from .scorer import Trial as Trial

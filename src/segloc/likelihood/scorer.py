@@ -26,8 +26,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
-RIVALS = 3
-"""Places that overlap most before alignment: with the best of them each pose is compared."""
+_FEW_RIVALS = 3
+"""Places whose alignment nearly always tells of a pose what that of all rivals would."""
 _MORE = 4
 """Further places that may be aligned: those about the best one."""
 
@@ -180,6 +180,7 @@ class Scorer:
         self._config, self._model = likelihood.config, likelihood.model
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
+        self._certain = log_odds(1.0 - self._model.lapse)
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
@@ -230,13 +231,19 @@ class Scorer:
 
         ``thorough`` measures the most promising ones to the end, whatever they promise.
         """
-        self._meet_rivals()
-        while (place := self._next(thorough)) is not None:
-            self._advance(place)
-            leader = self._leader()
-            if leader is not None and (thorough or leader.log_ratio >= self._threshold):
-                self._surround(leader)
-        return self.posterior()
+        self._begin()
+        most = self._config.max_places
+        count = most if thorough else min(_FEW_RIVALS, most)
+        while True:
+            self._meet_rivals(count)
+            while (place := self._next(thorough)) is not None:
+                self._advance(place)
+                leader = self._leader()
+                if leader is not None and (thorough or leader.log_ratio >= self._threshold):
+                    self._surround(leader)
+            if count == most or not self._is_open():
+                return self.posterior()
+            count = most
 
     def posterior(self) -> Posterior:
         """Return the posterior of what was measured; the rest has a share by its promise."""
@@ -244,16 +251,21 @@ class Scorer:
         left = [place.promise for place in self.places if place.fit is None]
         return Posterior.of(scored, self._model.lapse, left)
 
-    def _meet_rivals(self) -> None:
-        """Align the most promising place, and the rivals that each pose is compared with."""
+    def _begin(self) -> None:
+        """Align the most promising place, from the best start about it."""
         if not self.places:
             return
         first = max(self.places, key=lambda place: place.rough)
         start = self._surround(first)
         if first.aligned is None:
             self._align(first, start)
+
+    def _meet_rivals(self, count: int) -> None:
+        """Align the places that overlap most: with the best of them each pose is compared."""
+        if not self.places:
+            return
         self._rivals = []
-        for place in sorted(self.places, key=lambda place: -place.overlap)[:RIVALS]:
+        for place in sorted(self.places, key=lambda place: -place.overlap)[:count]:
             if place.aligned is None:
                 self._align(place)
             assert place.aligned is not None
@@ -263,6 +275,11 @@ class Scorer:
         for k in np.flatnonzero(near > 1):  # another one beside itself
             self._merge(every[k])
         self._score()
+
+    def _is_open(self) -> bool:
+        """Return whether more rivals may change the decision: the best place is hardly accepted."""
+        leader = self._leader()
+        return leader is not None and self._threshold <= leader.log_ratio < self._certain
 
     def _next(self, thorough: bool) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""

@@ -32,7 +32,6 @@ from scipy.special import expit, logit, logsumexp
 from segloc.likelihood import (
     CHANCE_RIVAL,
     FEATURES,
-    RIVALS,
     Count,
     Evidence,
     Promise,
@@ -166,12 +165,10 @@ def described(rows: Float32) -> Float64:
 
 
 def beside_rivals(records: Records) -> Records:
-    """Compare each pose with the rival among those that overlap most, as a scorer does."""
-    rough = np.where(records.poses, records.before[..., 0], -np.inf)
-    rank = (-rough).argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+    """Compare each pose with the rival that overlaps most, as a scorer does."""
     overlap, seen = (records.before[..., len(ROUGH) + k] for k in range(2))
     chance, none = CHANCE_RIVAL
-    met = np.where(records.poses & (rank < RIVALS), overlap, -np.inf)
+    met = np.where(records.poses, overlap, -np.inf)
     order = (-met).argsort(axis=1, kind="stable")[:, :2]
     features = records.features.copy()
     here = np.arange(records.poses.shape[1])

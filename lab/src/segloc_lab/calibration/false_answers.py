@@ -1,0 +1,119 @@
+"""Draw the false answers in sealed worlds: each query at the answered pose, over the map.
+
+The queries are localized again, so the code must be that of the answers (:mod:`.judge`).
+
+    python -m segloc_lab.calibration.false_answers WORLDS posterior.jsonl --out false.png
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import Config, Localizer, geometry
+from segloc.tools.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
+from segloc.tools.inspect.pictures import SMALL_PT
+from segloc.types import Float64, Pose
+
+from ..report import entries
+from ..script import parser
+from .judge import flat
+from .rows import BARE, HOME, World, worlds_of
+
+_AROUND_M, _COLUMNS, _PANEL_IN = 40.0, 3, 3.6
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A false answer.
+
+    Attributes
+    ----------
+    answer : dict
+        Its row.
+    cloud, query : (N, 2), (M, 2) float64
+        Points of the map, and of the query above ground at the answered pose, in the map's frame.
+    T_map_sensor : (4, 4) float64
+        Answered pose.
+    truth : (4, 4) float64 or None
+        True pose, if the map holds it.
+    """
+
+    answer: dict[str, Any]
+    cloud: Float64
+    query: Float64
+    T_map_sensor: Pose
+    truth: Pose | None
+
+
+def false_answers(world: World, answers: list[dict[str, Any]], config: Config) -> Iterator[Drawn]:
+    """Localize the queries of false answers again."""
+    queries = list(world.queries())
+    for answer in answers:
+        made = queries[answer["query"]]
+        prior_map = world.maps["own" if answer["map"] == BARE else answer["map"]]
+        localizer = Localizer(prior_map, config)
+        query = localizer.describe(made.scans)
+        found = localizer.locate(query)
+        if found.T_map_sensor is None:
+            raise SystemExit(f"{world.name}, query {answer['query']}: refused by this code")
+        T_map_local = found.T_map_sensor @ geometry.inverse(query.cloud.T_local_sensor)
+        yield Drawn(
+            answer,
+            (prior_map.cloud + prior_map.origin)[:, :2].astype(np.float64),
+            geometry.transform(T_map_local, query.scene.structure)[:, :2],
+            found.T_map_sensor,
+            made.truth if answer["map"] in HOME else None,
+        )
+
+
+def draw(found: list[Drawn]) -> bytes:
+    """Draw false answers side by side, as a PNG image."""
+    columns = min(_COLUMNS, len(found))
+    rows = math.ceil(len(found) / columns)
+    figure = blank((_PANEL_IN * columns, _PANEL_IN * rows), 110, layout="constrained")
+    for axes, each in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
+        middle = each.T_map_sensor[:2, 3]
+        plan(axes, middle - _AROUND_M, middle + _AROUND_M)
+        layers = ((each.cloud, GREY, 0.3, "map"), (each.query, ORANGE, 0.6, "query as answered"))
+        for points, colour, size, label in layers:
+            near = np.abs(points - middle).max(axis=1) < _AROUND_M
+            axes.scatter(*points[near].T, s=size, color=colour, label=label, linewidths=0)
+        axes.plot(*middle, "o", color=RED, ms=5, label="sensor as answered")
+        if each.truth is not None:
+            axes.plot(*each.truth[:2, 3], "+", color=DARK, ms=9, label="sensor in truth")
+        answer = each.answer
+        axes.set_title(
+            f"{answer['world']}, {answer['made']} {answer['query']} ({answer['sensor']})\n"
+            f"map: {answer['map']}, confidence {answer['confidence']:.4f}",
+            fontsize=SMALL_PT,
+        )
+    legend(figure.axes[0])
+    for axes in figure.axes[len(found) :]:
+        axes.set_axis_off()
+    return png(figure)
+
+
+def main() -> None:
+    options = parser(__doc__)
+    options.add_argument("worlds", type=Path, help="folder of the worlds")
+    options.add_argument("answers", type=Path, help="answers by judge")
+    options.add_argument("--out", type=Path, required=True, help="PNG image")
+    args = options.parse_args()
+    false = [answer for answer in flat(entries(args.answers)) if answer["outcome"] == "false"]
+    if not false:
+        raise SystemExit("no answer is false")
+    found: list[Drawn] = []
+    for world in worlds_of(args.worlds):
+        chosen = [answer for answer in false if answer["world"] == world.name]
+        found += false_answers(world, chosen, Config(threads=1))
+    args.out.write_bytes(draw(found))
+
+
+if __name__ == "__main__":
+    main()
