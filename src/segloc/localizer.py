@@ -123,8 +123,8 @@ class Localizer:
             One scan, or its points; or consecutive scans with odometry poses: the last one is the
             query.
         near : Prior or (position, radius_m), optional
-            Known position of the sensor, in the map's frame. Places elsewhere are neither proposed
-            nor answered, and do not make the query ambiguous.
+            Known position, height or heading of the sensor, in the map's frame. Places elsewhere
+            are neither proposed nor answered, and do not make the query ambiguous.
         deadline_ms : float, optional
             Time after which no further candidates are proposed. The first ones are always verified,
             so a query may take longer.
@@ -281,7 +281,7 @@ class Localizer:
 
     def _matcher_near(self, near: Prior | None) -> Matcher:
         """Return a matcher of the segments in view from near a prior."""
-        if near is None:
+        if near is None or not near.has_position:
             return self.matcher
         reach_m = self.config.local_cloud.radius_m
         return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))

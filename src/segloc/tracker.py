@@ -21,9 +21,17 @@ from .localizer import Localizer
 from .pipeline import Search
 from .prior import Prior
 from .proposals.proposer import Query
-from .system.checks import checked_pose
+from .system.checks import checked_height, checked_pose
 from .system.stage_times import StageTimes
-from .tracking.belief import Belief, BeliefConfig, Hypothesis, Reading, Status, View
+from .tracking.belief import (
+    Belief,
+    BeliefConfig,
+    Height,
+    Hypothesis,
+    Reading,
+    Status,
+    View,
+)
 from .types import Float64, LocalCloud, Pose, Scan
 
 Found = tuple[Query, Search, Localization]
@@ -295,6 +303,37 @@ class Tracker:
         """Update the hypotheses by a view, the last third of :meth:`update`."""
         if view.epoch == self._epoch and self.belief.update(view):
             self._restart_window()
+
+    def observe_height(
+        self, height_m: float, sigma_m: float, T_odom_sensor: ArrayLike | None = None
+    ) -> None:
+        """Update the hypotheses by a height of the sensor, as of a barometer or a lift.
+
+        Parameters
+        ----------
+        height_m, sigma_m : float
+            In the map's frame, and its standard deviation [m]. A wrong height costs probability
+            once, however often it is observed.
+        T_odom_sensor : (4, 4) array, optional
+            Where it was observed, by odometry; by default at the newest scan.
+
+        Raises
+        ------
+        InvalidScan
+            If a number is not finite, the deviation is negative, or the pose is no transform.
+        """
+        checked_height(height_m, sigma_m)
+        T = self._last if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
+        if T is None:
+            T = np.eye(4)
+        height = Height(height_m, sigma_m, self.belief.travelled, T)
+        if self.belief.observe(height):
+            self._restart_window()
+            self._searched = -math.inf
+
+    def forget_height(self) -> None:
+        """Take heights that were observed for old: new places are found on every storey."""
+        self.belief.height = None
 
     def suppose(self, T_map_odom: ArrayLike, probability: float = 0.5) -> None:
         """Take a pose known from elsewhere, as from another map, until views confirm or refute it.
