@@ -207,19 +207,22 @@ class Localizer:
         deadline_ms : float, optional
         near : Prior, optional
         known : sequence of (4, 4) float64
-            Poses T_map_local that are measured beside what is proposed, as those of a tracker.
+            Poses T_map_local that are measured beside what is proposed, as those of a tracker;
+            those near the prior only.
         thorough : bool
             Use all proposers and measure everything, to fit the model.
         """
         times = times or StageTimes(self.clock)
-        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
+        is_near = allowed(near)
+        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), is_near)
+        known_near = [T for T in known if is_near(T)]
         min_confidence = self.config.verification.min_confidence
         found: Search | None = None
         for proposed in self._proposals(query, times, deadline_ms, near):
             if not proposed.last and (thorough or not scorer.segments_suffice(proposed.candidates)):
                 continue
             with times("verification"):
-                scorer.add(proposed.candidates, proposed.inliers, known)
+                scorer.add(proposed.candidates, proposed.inliers, known_near)
                 posterior = scorer.measure(thorough=thorough)
             found = Search.of(
                 self.prior_map, proposed, posterior, scorer.places, min_confidence, near

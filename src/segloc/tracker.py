@@ -19,7 +19,7 @@ from .likelihood import Posterior
 from .localization import Localization
 from .localizer import Localizer
 from .pipeline import Search
-from .prior import Prior
+from .prior import Prior, allowed
 from .proposals.proposer import Query
 from .system.checks import checked_height, checked_pose
 from .system.stage_times import StageTimes
@@ -40,6 +40,8 @@ Found = tuple[Query, Search, Localization]
 _MIN_PROBABILITY = 1e-300
 _WEAK = 1.5
 """Evidence of a view for the track, below which the map is searched at once."""
+_HEIGHT_SIGMAS = 3.0
+"""Standard deviations of an observed height beyond which a place is elsewhere."""
 _MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
 """Most hypotheses that a view is compared at, and their least probability."""
 
@@ -109,6 +111,8 @@ class QueryRequest(View):
         Of the newest scan [s].
     near : Prior or None
         Where the map is searched first; None for all of it.
+    height : Prior or None
+        Height that was observed, and that the most probable place has: others are no rivals.
     found : (Query, Search, Localization) or None
         The search of the map, once it is made.
     """
@@ -120,6 +124,7 @@ class QueryRequest(View):
     epoch: int
     stamp: float = math.nan
     near: Prior | None = None
+    height: Prior | None = None
     found: Found | None = None
 
 
@@ -250,7 +255,20 @@ class Tracker:
             search=search,
             settled=settled,
             epoch=self._epoch,
+            height=self._height(T),
         )
+
+    def _height(self, T: Pose) -> Prior | None:
+        """Return the height that was observed, as a prior of a sensor at T_odom_sensor.
+
+        None if it contradicts the most probable place, since either may be wrong.
+        """
+        belief = self.belief
+        if belief.height is None or not belief.hypotheses:
+            return None
+        metres, sigma = belief.height.expected(T, belief.travelled, self.config.drift_up)
+        height = Prior(height_m=metres, height_tolerance_m=_HEIGHT_SIGMAS * sigma)
+        return height if height.holds(belief.hypotheses[0].T_map_odom @ T) else None
 
     def ask(self, request: QueryRequest, deadline_ms: float | None = None) -> QueryRequest:
         """Make a view, the second third of :meth:`update`; any thread may.
@@ -268,7 +286,11 @@ class Tracker:
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(request.scans, times)
         known = _known_poses(request, query.cloud)
-        search, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
+        near, height = request.near, request.height
+        if near is not None and height is not None:
+            at, tolerance = height.height_m, height.height_tolerance_m
+            near = replace(near, height_m=at, height_tolerance_m=tolerance)
+        search, result = self.localizer.answer(query, times, deadline_ms, near or height, known)
         places = self._places(request, search.posterior, query.cloud)
         return replace(request, places=places, searched=True, found=(query, search, result))
 
@@ -276,7 +298,8 @@ class Tracker:
         """Compare the newest scan at the hypotheses alone."""
         scans, gather = request.scans, self.localizer.accumulator.gather
         cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
-        posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
+        known = [T for T in _known_poses(request, cloud) if allowed(request.height)(T)]
+        posterior = self.localizer.compare(cloud, known)
         return replace(request, places=self._places(request, posterior, cloud))
 
     def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:

@@ -126,6 +126,12 @@ class Height:
     at: float
     T_odom_sensor: Pose
 
+    def expected(self, T_odom_sensor: Pose, at: float, drift_up: float) -> tuple[float, float]:
+        """Return the height elsewhere on the path, and its standard deviation [m]."""
+        climbed = float(T_odom_sensor[2, 3] - self.T_odom_sensor[2, 3])
+        sigma = math.hypot(self.sigma_m, drift_up * (at - self.at), _LEAST_HEIGHT_M)
+        return self.metres + climbed, sigma
+
 
 @dataclass
 class Hypothesis:
@@ -254,11 +260,10 @@ class Belief:
 
     def _height_ratio(self, h: Hypothesis) -> float:
         """Return the log-ratio of the observed height at a hypothesis against "lost"."""
-        if (height := self.height) is None:
+        if self.height is None:
             return 0.0
-        off = float((h.T_map_odom @ height.T_odom_sensor)[2, 3]) - height.metres
-        drift = self.config.drift_up * (h.at - height.at)
-        sigma = math.hypot(height.sigma_m, drift, _LEAST_HEIGHT_M)
+        metres, sigma = self.height.expected(h.T_odom_sensor, h.at, self.config.drift_up)
+        off = float((h.T_map_odom @ h.T_odom_sensor)[2, 3]) - metres
         fits = math.exp(-0.5 * (off / sigma) ** 2)
         return math.log((1.0 - _WRONG_HEIGHT) * fits + _WRONG_HEIGHT)
 
