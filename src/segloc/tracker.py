@@ -112,7 +112,7 @@ class QueryRequest(View):
     near : Prior or None
         Where the map is searched first; None for all of it.
     height : Prior or None
-        Height that was observed, and that the most probable place has: others are no rivals.
+        Height that was observed; places elsewhere are no rivals.
     found : (Query, Search, Localization) or None
         The search of the map, once it is made.
     """
@@ -261,14 +261,15 @@ class Tracker:
     def _height(self, T: Pose) -> Prior | None:
         """Return the height that was observed, as a prior of a sensor at T_odom_sensor.
 
-        None if it contradicts the most probable place, since either may be wrong.
+        If the most probable place is not there, either may be wrong: the search goes on anywhere.
         """
         belief = self.belief
-        if belief.height is None or not belief.hypotheses:
+        if belief.height is None:
             return None
         metres, sigma = belief.height.expected(T, belief.travelled, self.config.drift_up)
         height = Prior(height_m=metres, height_tolerance_m=_HEIGHT_SIGMAS * sigma)
-        return height if height.holds(belief.hypotheses[0].T_map_odom @ T) else None
+        agrees = bool(belief.hypotheses) and height.holds(belief.hypotheses[0].T_map_odom @ T)
+        return replace(height, anywhere=not agrees)
 
     def ask(self, request: QueryRequest, deadline_ms: float | None = None) -> QueryRequest:
         """Make a view, the second third of :meth:`update`; any thread may.
@@ -292,6 +293,7 @@ class Tracker:
             near = replace(near, height_m=at, height_tolerance_m=tolerance)
         search, result = self.localizer.answer(query, times, deadline_ms, near or height, known)
         places = self._places(request, search.posterior, query.cloud)
+        places = [*self._elsewhere(request, query.cloud), *places]
         return replace(request, places=places, searched=True, found=(query, search, result))
 
     def _compare(self, request: QueryRequest) -> QueryRequest:
@@ -299,8 +301,14 @@ class Tracker:
         scans, gather = request.scans, self.localizer.accumulator.gather
         cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
         known = [T for T in _known_poses(request, cloud) if allowed(request.height)(T)]
-        posterior = self.localizer.compare(cloud, known)
-        return replace(request, places=self._places(request, posterior, cloud))
+        places = self._places(request, self.localizer.compare(cloud, known), cloud)
+        return replace(request, places=[*self._elsewhere(request, cloud), *places])
+
+    def _elsewhere(self, request: QueryRequest, cloud: LocalCloud) -> list[Reading]:
+        """Compare the hypotheses that the height excludes, each alone: none is another's rival."""
+        excluded = [T for T in _known_poses(request, cloud) if not allowed(request.height)(T)]
+        posteriors = [self.localizer.compare(cloud, [T]) for T in excluded]
+        return [place for each in posteriors for place in self._places(request, each, cloud)]
 
     def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:
         """Return the places of a posterior."""
