@@ -353,11 +353,9 @@ class Tracker:
         InvalidScan
             If a number is not finite, the deviation is negative, or the pose is no transform.
         """
-        checked_height(height_m, sigma_m)
+        known = checked_height(height_m, sigma_m)
         T = self._last if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
-        if T is None:
-            T = np.eye(4)
-        height = Height(height_m, sigma_m, self.belief.travelled, T)
+        height = Height(*known, self.belief.travelled, np.eye(4) if T is None else T)
         if self.belief.observe(height):
             self._restart_window()
             self._searched = -math.inf
