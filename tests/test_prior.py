@@ -105,3 +105,41 @@ def test_a_heading_excludes_poses_that_face_elsewhere(plaza: Plaza, once: Segmen
     for text in ("1", "1,2,3,4,5", "1,b", "1,2,3,north"):
         with pytest.raises(ConfigError, match="--near expects"):
             parsed_prior(text, 5.0, False)
+
+
+def test_a_height_selects_a_storey_with_a_position_or_without(
+    plaza: Plaza, once: SegmentMap
+) -> None:
+    up = np.array([0.0, 0.0, 30.0])
+    localizer, scan = Localizer(repeated(once, up, 2 * up)), plaza.scan(TRUE, seed=77)
+    assert localizer.localize(scan).reason is Reason.AMBIGUOUS
+    for storey in range(3):
+        z = TRUE[2, 3] + storey * up[2]
+        for near in (Prior(height_m=z + 1.0), Prior(TRUE[:2, 3], 9.0, height_m=z - 1.0)):
+            found = localizer.localize(scan, near=near)
+            assert found.localized, found.message
+            assert np.linalg.norm(found.T_map_sensor[:3, 3] - TRUE[:3, 3] - storey * up) < 0.3
+    for height in (-20.0, 12.0, 90.0):
+        result = localizer.localize(scan, near=Prior(height_m=height))
+        assert not result.localized and result.reason is Reason.NOT_NEAR_PRIOR
+        assert f"height {height:.1f} +- 1.5 m" in result.message
+    assert "at heights from" in result.message
+    assert localizer.localize(scan, near=Prior(height_m=12.0, anywhere=True)).reason is (
+        Reason.AMBIGUOUS
+    )
+
+
+def test_a_height_on_the_command_line() -> None:
+    prior = parsed_prior(None, 5.0, True, "3.2")
+    assert prior is not None and prior.height_m == 3.2 and prior.anywhere
+    assert not prior.has_position and str(prior) == "height 3.2 +- 1.5 m"
+    prior = parsed_prior("1,2", 5.0, False, "3.2,0.5")
+    assert prior is not None and str(prior) == "within 5 m of 1, 2, height 3.2 +- 0.5 m"
+    for text in ("up", "", "1,2,3", "1,"):
+        with pytest.raises(ConfigError, match="--height expects"):
+            parsed_prior(None, 5.0, False, text)
+    for text in ("nan", "inf", "1,0", "1,nan", "1,-2"):
+        with pytest.raises(ConfigError, match="prior: the height"):
+            parsed_prior(None, 5.0, False, text)
+    with pytest.raises(ConfigError, match="radius"):
+        Prior()

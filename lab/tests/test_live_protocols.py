@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
 from segloc_lab.protocols import kidnapping, live_streams, rivals
 
-from segloc import geometry
+from segloc import Scan, geometry
 from segloc.loops.graph import Edges
 
 
@@ -29,6 +30,50 @@ def test_views_are_compared_at_every_turn() -> None:
     here = np.random.default_rng(2).uniform(size=(2, kidnapping.SECTORS))
     differs, turn = kidnapping._unlike(here, np.roll(here, -7, axis=1))
     assert differs == 0.0 and turn == pytest.approx(-2.0 * np.pi * 7 / kidnapping.SECTORS)
+
+
+class Storey:
+    """A drive along x whose scans hold the number of the storey."""
+
+    name, poses, stamps = "storey", None, np.arange(400) * 0.5
+    indices = np.arange(400)
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __len__(self) -> int:
+        return 400
+
+    def scan(self, i: int) -> Scan:
+        return Scan(np.full((1, 3), [i, 0, self.number], dtype=np.float32))
+
+
+def test_a_lift_leads_to_the_same_place_of_another_storey(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = object.__new__(kidnapping.Building)
+    world.kind, world.seed = kidnapping.LIFTED_KINDS[0], 1
+    storeys = tuple(map(Storey, range(3)))
+    world.drive, world._length = kidnapping.Joined(storeys[0], storeys), 400
+    poses = [[geometry.yaw_transform(0.0, (x / 2, 0, 3 * z)) for x in range(400)] for z in range(3)]
+    world.truths = np.concatenate(poses)
+    tried: list[Any] = []
+    monkeypatch.setattr(world, "_tried", lambda *trial: tried.append(trial))
+    for number, expected in enumerate(kidnapping.LIFTED):
+        world.lifted(number)
+        _, way, carried, heights = tried[-1]
+        assert way == expected
+        seen = np.array([carried.scan(i).points[0] for i in range(len(carried))])
+        first = carried.first
+        (start,), (end,) = set(seen[:first, 2]), set(seen[first:, 2])
+        assert start != end and seen[first, 0] == seen[first - 1, 0]
+        assert np.allclose(world.truths_of(carried)[:, 2, 3], 3.0 * seen[:, 2])
+        step = geometry.inverse(carried.poses[first - 1]) @ carried.poses[first]
+        assert np.linalg.norm(step[:3, 3]) < 0.5  # the odometry notices nothing
+        if heights is None:
+            assert way == "lift"
+            continue
+        off = np.abs(np.array([z for z, _ in heights]) - 3.0 * seen[:, 2]) > 2.0
+        assert off.mean() < 0.1
+        assert (off[first : first + 10].mean() > 0.9) == (way == "lift, late height")
 
 
 @pytest.mark.slow

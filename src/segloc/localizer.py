@@ -123,8 +123,8 @@ class Localizer:
             One scan, or its points; or consecutive scans with odometry poses: the last one is the
             query.
         near : Prior or (position, radius_m), optional
-            Known position of the sensor, in the map's frame. Places elsewhere are neither proposed
-            nor answered, and do not make the query ambiguous.
+            Known position, height or heading of the sensor, in the map's frame. Places elsewhere
+            are neither proposed nor answered, and do not make the query ambiguous.
         deadline_ms : float, optional
             Time after which no further candidates are proposed. The first ones are always verified,
             so a query may take longer.
@@ -207,19 +207,22 @@ class Localizer:
         deadline_ms : float, optional
         near : Prior, optional
         known : sequence of (4, 4) float64
-            Poses T_map_local that are measured beside what is proposed, as those of a tracker.
+            Poses T_map_local that are measured beside what is proposed, as those of a tracker;
+            those near the prior only.
         thorough : bool
             Use all proposers and measure everything, to fit the model.
         """
         times = times or StageTimes(self.clock)
-        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), allowed(near))
+        is_near = allowed(near)
+        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), is_near)
+        known_near = [T for T in known if is_near(T)]
         min_confidence = self.config.verification.min_confidence
         found: Search | None = None
         for proposed in self._proposals(query, times, deadline_ms, near):
             if not proposed.last and (thorough or not scorer.segments_suffice(proposed.candidates)):
                 continue
             with times("verification"):
-                scorer.add(proposed.candidates, proposed.inliers, known)
+                scorer.add(proposed.candidates, proposed.inliers, known_near)
                 posterior = scorer.measure(thorough=thorough)
             found = Search.of(
                 self.prior_map, proposed, posterior, scorer.places, min_confidence, near
@@ -281,7 +284,7 @@ class Localizer:
 
     def _matcher_near(self, near: Prior | None) -> Matcher:
         """Return a matcher of the segments in view from near a prior."""
-        if near is None:
+        if near is None or not near.has_position:
             return self.matcher
         reach_m = self.config.local_cloud.radius_m
         return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))

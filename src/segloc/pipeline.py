@@ -205,6 +205,10 @@ def _is_inverted(cloud: LocalCloud) -> bool:
 
 def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
     """Explain how far a prior lies outside of the map; "" if it is inside."""
+    if near.height_m is not None and len(heights := prior_map.trajectory[:, 2, 3]):
+        low, high = float(heights.min()), float(heights.max())
+        if max(low - near.height_m, near.height_m - high) > near.height_tolerance_m:
+            return f"the sensor of the map was at heights from {low:.1f} to {high:.1f} m"
     if len(near.rows(prior_map.centroids, reach_m)):
         return ""
     x, y = np.asarray(near.position)[:2]

@@ -1,4 +1,4 @@
-"""Prior: rough position and heading of the sensor."""
+"""Prior: rough position, height and heading of the sensor."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ MAX_RADIUS_M, MAX_HEADING_DEG = 1e6, 3600.0
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Rough position of the sensor and perhaps its heading, from GNSS or the last pose.
+    """Rough position of the sensor, its height or its heading: at least one of them.
 
     Attributes
     ----------
     position : (2,) or (3,) float64
         x, y and optionally z in the map's frame [m].
     radius_m : float
-        Largest distance from there [m]: horizontal, or in space if the position has a z.
+        Largest distance from there [m]: horizontal, or in space if the position has a z. By default
+        the position does not count.
     anywhere : bool
         True to search the whole map if nothing is found near the prior; the answer may then be
         far from it.
@@ -35,6 +36,10 @@ class Prior:
         Heading of the sensor: of its x axis, counterclockwise from the map's [deg].
     heading_tolerance_deg : float
         Largest difference from that heading [deg].
+    height_m : float, optional
+        Height of the sensor in the map's frame [m], as of a floor and the mount on the robot.
+    height_tolerance_m : float
+        Largest difference from that height [m]; less than half a storey selects one.
 
     Raises
     ------
@@ -42,11 +47,13 @@ class Prior:
         If a number is missing, not finite or out of range.
     """
 
-    position: ArrayLike
-    radius_m: float
+    position: ArrayLike = (0.0, 0.0)
+    radius_m: float = math.inf
     anywhere: bool = False
     heading_deg: float | None = None
     heading_tolerance_deg: float = 45.0
+    height_m: float | None = None
+    height_tolerance_m: float = 1.5
 
     def __post_init__(self) -> None:
         try:
@@ -54,6 +61,8 @@ class Prior:
             radius = float(self.radius_m)
             heading = None if self.heading_deg is None else float(self.heading_deg)
             tolerance = float(self.heading_tolerance_deg)
+            height = None if self.height_m is None else float(self.height_m)
+            height_tolerance = float(self.height_tolerance_m)
         except (TypeError, ValueError) as error:
             raise ConfigError(
                 "a prior must be a position (x, y) or (x, y, z) and a radius"
@@ -62,7 +71,8 @@ class Prior:
             raise ConfigError(
                 f"prior: the position must be x, y or x, y, z in metres, not {self.position!r:.60}"
             )
-        if not 0 < radius <= MAX_RADIUS_M:
+        is_alone = radius == math.inf and (heading is not None or height is not None)
+        if not (0 < radius <= MAX_RADIUS_M or is_alone):
             raise ConfigError(f"prior: the radius must be above 0 m, not {self.radius_m!r:.40}")
         if heading is not None and not abs(heading) <= MAX_HEADING_DEG:
             raise ConfigError(
@@ -72,18 +82,36 @@ class Prior:
             raise ConfigError(
                 f"prior: the heading tolerance must be 0 to 180 degrees, not {tolerance!r:.40}"
             )
+        if height is not None and not abs(height) <= MAX_METRES:
+            raise ConfigError(f"prior: the height must be in metres, not {self.height_m!r:.40}")
+        if not 0 < height_tolerance <= MAX_RADIUS_M:
+            raise ConfigError(
+                f"prior: the height tolerance must be above 0 m, not {height_tolerance!r:.40}"
+            )
         position.setflags(write=False)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "radius_m", radius)
         object.__setattr__(self, "heading_deg", heading)
         object.__setattr__(self, "heading_tolerance_deg", tolerance)
+        object.__setattr__(self, "height_m", height)
+        object.__setattr__(self, "height_tolerance_m", height_tolerance)
 
     def __str__(self) -> str:
-        where = ", ".join(f"{metres:.0f}" for metres in np.asarray(self.position))
-        if self.heading_deg is None:
-            return f"within {self.radius_m:g} m of {where}"
-        heading = f"{self.heading_deg:.0f} +- {self.heading_tolerance_deg:.0f} degrees"
-        return f"within {self.radius_m:g} m of {where}, heading {heading}"
+        known = list[str]()
+        if self.has_position:
+            where = ", ".join(f"{metres:.0f}" for metres in np.asarray(self.position))
+            known.append(f"within {self.radius_m:g} m of {where}")
+        if self.height_m is not None:
+            known.append(f"height {self.height_m:.1f} +- {self.height_tolerance_m:g} m")
+        if self.heading_deg is not None:
+            tolerance = self.heading_tolerance_deg
+            known.append(f"heading {self.heading_deg:.0f} +- {tolerance:.0f} degrees")
+        return ", ".join(known)
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the position counts."""
+        return self.radius_m < math.inf
 
     @classmethod
     def of(cls, near: Near | None) -> Prior | None:
@@ -113,8 +141,11 @@ class Prior:
         return found
 
     def holds(self, T_map_sensor: Pose) -> bool:
-        """Return whether a (4, 4) pose is within the radius and the heading tolerance."""
+        """Return whether a (4, 4) pose is within the radius and the tolerances."""
         if not self.distances(T_map_sensor[None, :3, 3])[0] <= self.radius_m:
+            return False
+        height = self.height_m
+        if height is not None and abs(T_map_sensor[2, 3] - height) > self.height_tolerance_m:
             return False
         if self.heading_deg is None:
             return True

@@ -19,11 +19,19 @@ from .likelihood import Posterior
 from .localization import Localization
 from .localizer import Localizer
 from .pipeline import Search
-from .prior import Prior
+from .prior import Prior, allowed
 from .proposals.proposer import Query
-from .system.checks import checked_pose
+from .system.checks import checked_height, checked_pose
 from .system.stage_times import StageTimes
-from .tracking.belief import Belief, BeliefConfig, Hypothesis, Reading, Status, View
+from .tracking.belief import (
+    Belief,
+    BeliefConfig,
+    Height,
+    Hypothesis,
+    Reading,
+    Status,
+    View,
+)
 from .types import Float64, LocalCloud, Pose, Scan
 
 Found = tuple[Query, Search, Localization]
@@ -32,6 +40,8 @@ Found = tuple[Query, Search, Localization]
 _MIN_PROBABILITY = 1e-300
 _WEAK = 1.5
 """Evidence of a view for the track, below which the map is searched at once."""
+_HEIGHT_SIGMAS = 3.0
+"""Standard deviations of an observed height beyond which a place is elsewhere."""
 _MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
 """Most hypotheses that a view is compared at, and their least probability."""
 
@@ -101,6 +111,8 @@ class QueryRequest(View):
         Of the newest scan [s].
     near : Prior or None
         Where the map is searched first; None for all of it.
+    height : Prior or None
+        Height that was observed; places elsewhere are no rivals.
     found : (Query, Search, Localization) or None
         The search of the map, once it is made.
     """
@@ -112,6 +124,7 @@ class QueryRequest(View):
     epoch: int
     stamp: float = math.nan
     near: Prior | None = None
+    height: Prior | None = None
     found: Found | None = None
 
 
@@ -242,7 +255,21 @@ class Tracker:
             search=search,
             settled=settled,
             epoch=self._epoch,
+            height=self._height(T),
         )
+
+    def _height(self, T: Pose) -> Prior | None:
+        """Return the height that was observed, as a prior of a sensor at T_odom_sensor.
+
+        If the most probable place is not there, either may be wrong: the search goes on anywhere.
+        """
+        belief = self.belief
+        if belief.height is None:
+            return None
+        metres, sigma = belief.height.expected(T, belief.travelled, self.config.drift_up)
+        height = Prior(height_m=metres, height_tolerance_m=_HEIGHT_SIGMAS * sigma)
+        agrees = bool(belief.hypotheses) and height.holds(belief.hypotheses[0].T_map_odom @ T)
+        return replace(height, anywhere=not agrees)
 
     def ask(self, request: QueryRequest, deadline_ms: float | None = None) -> QueryRequest:
         """Make a view, the second third of :meth:`update`; any thread may.
@@ -260,16 +287,28 @@ class Tracker:
         times = StageTimes(self.localizer.clock)
         query = self.localizer.describe(request.scans, times)
         known = _known_poses(request, query.cloud)
-        search, result = self.localizer.answer(query, times, deadline_ms, request.near, known)
+        near, height = request.near, request.height
+        if near is not None and height is not None:
+            at, tolerance = height.height_m, height.height_tolerance_m
+            near = replace(near, height_m=at, height_tolerance_m=tolerance)
+        search, result = self.localizer.answer(query, times, deadline_ms, near or height, known)
         places = self._places(request, search.posterior, query.cloud)
+        places = [*self._elsewhere(request, query.cloud), *places]
         return replace(request, places=places, searched=True, found=(query, search, result))
 
     def _compare(self, request: QueryRequest) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
         scans, gather = request.scans, self.localizer.accumulator.gather
         cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
-        posterior = self.localizer.compare(cloud, _known_poses(request, cloud))
-        return replace(request, places=self._places(request, posterior, cloud))
+        known = [T for T in _known_poses(request, cloud) if allowed(request.height)(T)]
+        places = self._places(request, self.localizer.compare(cloud, known), cloud)
+        return replace(request, places=[*self._elsewhere(request, cloud), *places])
+
+    def _elsewhere(self, request: QueryRequest, cloud: LocalCloud) -> list[Reading]:
+        """Compare the hypotheses that the height excludes, each alone: none is another's rival."""
+        excluded = [T for T in _known_poses(request, cloud) if not allowed(request.height)(T)]
+        posteriors = [self.localizer.compare(cloud, [T]) for T in excluded]
+        return [place for each in posteriors for place in self._places(request, each, cloud)]
 
     def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:
         """Return the places of a posterior."""
@@ -295,6 +334,35 @@ class Tracker:
         """Update the hypotheses by a view, the last third of :meth:`update`."""
         if view.epoch == self._epoch and self.belief.update(view):
             self._restart_window()
+
+    def observe_height(
+        self, height_m: float, sigma_m: float, T_odom_sensor: ArrayLike | None = None
+    ) -> None:
+        """Update the hypotheses by a height of the sensor, as of a barometer or a lift.
+
+        Parameters
+        ----------
+        height_m, sigma_m : float
+            In the map's frame, and its standard deviation [m]. A wrong height costs probability
+            once, however often it is observed.
+        T_odom_sensor : (4, 4) array, optional
+            Where it was observed, by odometry; by default at the newest scan.
+
+        Raises
+        ------
+        InvalidScan
+            If a number is not finite, the deviation is negative, or the pose is no transform.
+        """
+        known = checked_height(height_m, sigma_m)
+        T = self._last if T_odom_sensor is None else checked_pose(T_odom_sensor, "T_odom_sensor")
+        height = Height(*known, self.belief.travelled, np.eye(4) if T is None else T)
+        if self.belief.observe(height):
+            self._restart_window()
+            self._searched = -math.inf
+
+    def forget_height(self) -> None:
+        """Take heights that were observed for old: new places are found on every storey."""
+        self.belief.height = None
 
     def suppose(self, T_map_odom: ArrayLike, probability: float = 0.5) -> None:
         """Take a pose known from elsewhere, as from another map, until views confirm or refute it.

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples.maps import repeated
 from samples.on_board import BODY, beside, with_mast
 from samples.plaza import Plaza
 from samples.ros_drive import (
@@ -35,7 +36,7 @@ from segloc_ros.core.replies import (
     PoseReply,
 )
 
-from segloc import ConfigError, Localizer, Prior, geometry
+from segloc import ConfigError, InvalidScan, Localizer, Prior, geometry
 from segloc.frontend.mounting import rotation
 from segloc.map.georeference import KEY, Georeference
 from segloc.types import Pose
@@ -307,6 +308,28 @@ def test_gnss_says_where_to_search_first_and_a_wrong_fix_is_survived(
         places = listener.of_kind(CandidatesReply)[-1].places
         assert off(places[0][0], truth) < 1.0 and places[0][1] > 0.9
         assert float(diagnose(listener.robot).values["candidates"].split()[0]) > 0.9
+
+
+def test_a_height_in_the_map_tells_storeys_apart(localizer: Localizer, plaza: Plaza) -> None:
+    up = geometry.yaw_transform(0.0, (0.0, 0.0, 30.0))
+    storeys = Localizer(repeated(localizer.prior_map, up[:3, 3]))
+    listener = Listener.of(storeys, height_topic="height", height_sigma_m=0.3)
+    on_tf_static(listener.robot)
+    assert listener.robot.on_height(99.0, "map", 1.5, 0.0) == []  # no clouds yet
+    listener.walk(plaza, 2, carried=up)
+    assert listener.robot.T_map_odom is None
+    for k in range(3):
+        listener.hear(listener.robot.on_height(102.0 + k, "/map", 31.5, 0.25 * (k > 0)))
+        at = {"start_s": 102.0 + k, "begin": (-10.0 + 2 * k, 1.2)}
+        truth = listener.walk(plaza, 1, carried=up, **at)
+    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    for frame, metres, variance in (
+        ("odom", 1.5, 0.1), ("", 1.5, 0.1), ("map", np.nan, 0.1), ("map", 1.5, -1.0),
+        ("map", 1.5, np.nan), ("map", 1.5, np.inf),
+    ):  # fmt: skip
+        with pytest.raises(InvalidScan, match="height"):
+            listener.robot.on_height(105.0, frame, metres, variance)
+    assert diagnose(listener.robot).values["unused heights"] == "0"
 
 
 def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(

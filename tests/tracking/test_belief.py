@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from segloc import geometry
-from segloc.tracking.belief import Belief, BeliefConfig, Reading, Status, View
+from segloc.tracking.belief import Belief, BeliefConfig, Height, Reading, Status, View
 from segloc.types import Pose
 
 HERE = geometry.yaw_transform(0.4, (10.0, 5.0, 0.0))
@@ -227,3 +227,51 @@ def test_covariance_grows_with_the_path_and_turns_with_the_robot() -> None:
     assert later[3, 3] == pytest.approx(1e-3 + 0.3**2)
     assert later[4, 4] == pytest.approx(1e-3 + 1e-5 * 15**2 + 0.3**2)
     assert later[0, 0] > 10 * later[2, 2]  # the horizon of odometry is unsure
+
+
+ABOVE = geometry.yaw_transform(0.4, (10.0, 5.0, 3.2))
+
+
+def observes(robot: Robot, metres: float, sigma: float = 0.5) -> bool:
+    at = robot.belief.travelled
+    return robot.belief.observe(Height(metres, sigma, at, robot.T_odom_sensor))
+
+
+def test_a_height_tells_storeys_apart_that_fit_alike_and_confirms_none() -> None:
+    robot = Robot().searches((HERE, 9.0), (ABOVE, 9.0), (THERE, 9.0))
+    lost = robot.belief.lost
+    assert not observes(robot, 3.0) and robot.is_at(ABOVE)
+    assert robot.belief.hypotheses[0].probability > 0.99
+    assert robot.belief.lost > lost
+    for _ in range(50):  # the errors of a barometer are alike: it counts once
+        observes(robot, 0.2)
+    ratio = robot.belief.hypotheses[0].probability / robot.belief.lost
+    assert robot.is_at(HERE) or robot.is_at(THERE) or robot.status is Status.CANDIDATE
+    assert ratio < math.exp(9.0)
+
+
+def test_a_height_with_a_wide_deviation_or_of_long_ago_tells_little() -> None:
+    robot = Robot().searches((HERE, 9.0), (ABOVE, 9.0))
+    observes(robot, 3.2, sigma=20.0)
+    one, other = (h.probability for h in robot.belief.hypotheses)
+    assert one / other < 1.05
+    robot = Robot().searches((HERE, 9.0))
+    observes(robot, 0.0)
+    robot.drives(60.0, (HERE, FITS))  # stairs, of which a planar odometry knows nothing
+    robot.views((HERE, CONTRADICTS, -9.0), (ABOVE, 0.0, 9.0))
+    assert robot.belief.hypotheses[0].height > -0.1
+
+
+def test_a_wrong_height_costs_a_track_once_and_views_outweigh_it() -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(40.0, (HERE, FITS))
+    before = robot.belief.hypotheses[0].probability / robot.belief.lost
+    assert observes(robot, 50.0) and robot.reason == "the height contradicts the track"
+    for _ in range(100):
+        assert not observes(robot, 50.0)
+    after = robot.belief.hypotheses[0].probability / robot.belief.lost
+    assert before / after < 600.0
+    assert robot.drives(20.0, (HERE, FITS)).is_at(HERE) and robot.status is Status.LOCALIZED
+    robot = Robot().searches((HERE, 8.0)).drives(40.0, (HERE, FITS))
+    observes(robot, 50.0)
+    observes(robot, 0.0)
+    assert robot.is_at(HERE) and robot.status is Status.LOCALIZED

@@ -23,6 +23,7 @@ PARAMETERS = {
     "trigger": "until_localized, periodic or service",
     "odometry": "topic, tf, kiss-icp or none",
     "base_to_lidar": "mount where tf has none: '[x, y, z, roll, pitch, yaw]'",
+    "height_topic": "topic of the base's height in the map, as of a barometer or a lift",
     "pose_file": "file that keeps the pose over a power cycle",
     "smooth_tf": "true: map -> odom without jumps",
     "use_sim_time": "true for a bag or a simulator",

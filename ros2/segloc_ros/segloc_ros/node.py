@@ -225,6 +225,7 @@ class SeglocNode(LifecycleNode):
         wanted = [
             (Imu, settings.imu_topic, self._on_imu, fast),
             (NavSatFix, settings.fix_topic, self._on_fix, fast),
+            (PoseWithCovarianceStamped, settings.height_topic, self._on_height, fast),
             (PoseWithCovarianceStamped, settings.click_topic, self._on_click, 1),
         ]
         if settings.odometry == "topic":
@@ -338,6 +339,11 @@ class SeglocNode(LifecycleNode):
 
     def _on_fix(self, message: NavSatFix) -> None:
         self._feed(lambda robot: robot.on_fix(message))
+
+    def _on_height(self, message: PoseWithCovarianceStamped) -> None:
+        stamp, frame = seconds(message.header.stamp), message.header.frame_id
+        metres, variance = message.pose.pose.position.z, float(message.pose.covariance[14])
+        self._feed(lambda robot: robot.on_height(stamp, frame, metres, variance))
 
     def _on_click(self, message: PoseWithCovarianceStamped) -> None:
         if self.pump is None:

@@ -28,6 +28,9 @@ class LiveConfig(Section):
     )
 
     odometry_s: float = Field(10.0, gt=0, description="history of odometry, seconds")
+    height_s: float = Field(
+        10.0, gt=0, description="time that an observed height counts for new places, seconds"
+    )
     max_gap_s: float = Field(
         0.5, gt=0, description="maximum gap of odometry that is interpolated, seconds"
     )

@@ -17,7 +17,7 @@ from ..errors import SeglocError
 from ..localization import Explained
 from ..localizer import Localizer
 from ..motion import Motion, at_stamp
-from ..system.checks import checked_pose
+from ..system.checks import checked_height, checked_pose
 from ..tracker import QueryRequest, Tracker
 from ..tracking.belief import Status
 from ..types import Float64, Pose, Scan
@@ -45,6 +45,11 @@ class StateReason(Explained):
         "the map contradicts the track",
         "the robot was kidnapped, or something large blocks the view",
         "wait: the robot is searched again",
+    )
+    HEIGHT = (
+        "the height contradicts the track",
+        "the robot was on a lift, or what observes the height is wrong",
+        "drive on: the robot is searched again",
     )
     JUMP = (
         "the odometry jumped by {size}",
@@ -108,6 +113,8 @@ class LiveCore:
         Scans that were late, or without odometry.
     refused, jumps : int
         Unusable scans; jumps of the odometry.
+    unused_heights : int
+        Observed heights that were old, or without odometry at their time.
     skipped, behind_s : int, float
         Scans that came too fast, and delay of other inputs [s], in a :class:`Shell`.
     """
@@ -136,6 +143,7 @@ class LiveCore:
         if lidar_odometry:
             self._lidar_odometry = LidarOdometry(self.T_base_sensor, self._local_cloud.attitude)
         self.scans = self.dropped = self.refused = self.jumps = self.skipped = 0
+        self.unused_heights, self._height_at = 0, -math.inf
         self.behind_s = 0.0
         self._odometry = Odometry(self.config)
         self._waiting: deque[tuple[float, Scan]] = deque()
@@ -175,6 +183,45 @@ class LiveCore:
             self._fault = StateReason.NO_SCAN.format(seconds=time - self._newest)
             states.append(self._report(time))
         return states
+
+    def add_height(self, stamp: float, height_m: float, sigma_m: float) -> list[State]:
+        """Add an observed height of the base: of a barometer, or of the floor that a lift is at.
+
+        It is one more likelihood of every hypothesis: it tells storeys apart that look alike. A
+        wrong one is outweighed by scans; one that is older than ``height_s``, or without odometry
+        at its time, is ignored.
+
+        Parameters
+        ----------
+        stamp : float
+            On the scans' clock [s].
+        height_m, sigma_m : float
+            Height in the map's frame, and its standard deviation [m].
+
+        Returns
+        -------
+        list of State
+            A new state if the status changes.
+
+        Raises
+        ------
+        InvalidScan
+            If a number is not finite, or the deviation is negative.
+        """
+        time, (height_m, sigma_m) = known_stamp(stamp), checked_height(height_m, sigma_m)
+        T_odom_base, now = self._odometry.nearest(time), max(self._newest, self._odometry.newest)
+        if T_odom_base is None or not abs(now - time) <= self.config.height_s:
+            self.unused_heights += 1
+            return []
+        if time < self._height_at <= now:  # out of order
+            self.unused_heights += 1
+            return []
+        self._height_at = time
+        T_odom_sensor = T_odom_base @ self.T_base_sensor
+        above = float(T_odom_sensor[2, 3] - T_odom_base[2, 3])
+        self.tracker.observe_height(height_m + above, sigma_m, T_odom_sensor)
+        is_news = self.tracker.track.status is not self.state.status
+        return [self._report(self.state.stamp)] if is_news else []
 
     def add_scan(self, scan: Scan, stamp: float | None = None) -> list[State]:
         """Add a scan. It waits until odometry covers it.
@@ -293,6 +340,8 @@ class LiveCore:
         """De-skew a scan and pass it to the tracker."""
         motion = self._odometry.motion(self.T_base_sensor)
         T_odom_sensor = motion.at([stamp])[0]
+        if abs(stamp - self._height_at) > self.config.height_s:
+            self.tracker.forget_height()
         try:
             still = self._still(scan, motion, stamp)
             request = self.tracker.add(still, T_odom_sensor, due=self._is_due(stamp))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..localizer import Localizer
-from ..system.checks import checked_pose
+from ..system.checks import checked_height, checked_pose
 from ..types import Scan
 from .config import LiveConfig
 from .core import LiveCore, State
@@ -85,6 +85,11 @@ class LiveLocalizer(Shell[LiveCore]):
         """Add a pose of the odometry, as :meth:`LiveCore.add_odometry` does, without waiting."""
         time_s, T = known_stamp(stamp), checked_pose(T_odom_base, "T_odom_base")
         self.feed(lambda core: core.add_odometry(time_s, T))
+
+    def add_height(self, stamp: float, height_m: float, sigma_m: float) -> None:
+        """Add an observed height, as :meth:`LiveCore.add_height` does, without waiting."""
+        time_s, known = known_stamp(stamp), checked_height(height_m, sigma_m)
+        self.feed(lambda core: core.add_height(time_s, *known))
 
     @property
     def state(self) -> State:

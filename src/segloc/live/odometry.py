@@ -60,6 +60,11 @@ class Odometry:
         """T_odom_base of the newest pose."""
         return self._kept[-1][1] if self._kept else None
 
+    def nearest(self, stamp: float) -> Pose | None:
+        """Return T_odom_base of the pose nearest in time; None if there is none."""
+        nearest = min(self._kept, key=lambda kept: abs(kept[0] - stamp), default=None)
+        return None if nearest is None else nearest[1]
+
     def add(self, stamp: float, T_odom_base: Pose) -> Jump | None:
         """Add a pose; a jump or a new clock clears earlier poses."""
         jump = None

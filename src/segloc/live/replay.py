@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -129,6 +129,7 @@ def play(
     on_state: StateCallback | None = None,
     progress: Progress | None = None,
     keeper: PoseKeeper | None = None,
+    heights: Sequence[tuple[float, float] | None] | None = None,
 ) -> Replay:
     """Replay a recording with its poses as the odometry of its sensor.
 
@@ -148,6 +149,8 @@ def play(
         Called with (scans done, scans in all).
     keeper : PoseKeeper, optional
         Keeps the pose from one recording to the next.
+    heights : sequence of (height_m, sigma_m) or None, optional
+        Height of the sensor that is observed before each scan; None where there is none.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def play(
     """
     clock, poses = _clock(recording) / (rate or 1.0), _motion(recording)
     listener = _Listener(clock, on_state)
-    alone = poses is None
+    alone, observed = poses is None, heights or [None] * len(recording)
     progress = progress or (lambda done, total: None)
     if rate > 0:
         with LiveLocalizer(
@@ -169,11 +172,11 @@ def play(
             keeper=keeper,
             on_state=listener,
         ) as live:
-            missed = _in_time(live, recording, clock, poses, progress)
+            missed = _in_time(live, recording, clock, poses, observed, progress)
             scans, dropped = live.scans, live.dropped + missed
     else:
         core = LiveCore(localizer, config, np.eye(4), lidar_odometry=alone, keeper=keeper)
-        _in_turn(core, recording, clock, poses, listener, progress)
+        _in_turn(core, recording, clock, poses, observed, listener, progress)
         scans, dropped = core.scans, core.dropped
     if keeper is not None:
         keeper.flush()
@@ -186,6 +189,7 @@ def _in_turn(
     recording: Recording,
     clock: Float64,
     poses: Float64 | None,
+    observed: Sequence[tuple[float, float] | None],
     listener: _Listener,
     progress: Progress,
 ) -> None:
@@ -194,6 +198,8 @@ def _in_turn(
         scan = recording.scan(i)
         begun = time.perf_counter()
         states = [] if poses is None else core.add_odometry(stamp, poses[i])
+        if (height := observed[i]) is not None:
+            states += core.add_height(stamp, *height)
         states = _timed(states + core.add_scan(scan, stamp), begun)
         while (pending := core.due()) is not None:
             states += _timed([core.answer(pending, core.ask(pending))], begun)
@@ -206,6 +212,7 @@ def _in_time(
     recording: Recording,
     clock: Float64,
     poses: Float64 | None,
+    observed: Sequence[tuple[float, float] | None],
     progress: Progress,
 ) -> int:
     """Replay in real time; return the number of scans that could not be read in time."""
@@ -215,6 +222,8 @@ def _in_time(
         now = time.monotonic() - begun
         if poses is not None:
             live.add_odometry(clock[i], poses[i])
+        if (height := observed[i]) is not None:
+            live.add_height(clock[i], *height)
         if i + 1 < count and now > clock[i + 1]:
             missed += 1
             continue

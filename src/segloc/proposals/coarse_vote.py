@@ -57,7 +57,7 @@ class CoarseVoter:
 
     def matches(self, descriptors: Descriptors, near: Prior | None = None) -> Matches:
         """Match the segments of a query in the thin map, or in its part near a prior."""
-        if near is None:
+        if near is None or not near.has_position:
             return self._matcher.prune(descriptors, self._matcher.match(descriptors))
         matcher = self._matcher.among(self._rows(near))
         return matcher.prune(descriptors, matcher.match(descriptors, PRIOR_NEIGHBOURS))

@@ -257,7 +257,7 @@ class _OccupancyMap:
 
 def _circle(near: Prior | None, origin: Float64) -> dict[str, float]:
     """Return the search circle of a prior, relative to the origin."""
-    if near is None:
+    if near is None or not near.has_position:
         return {}
     x, y = np.asarray(near.position)[:2] - origin[:2]
     return {"x": float(x), "y": float(y), "radius": near.radius_m}

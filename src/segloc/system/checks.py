@@ -234,6 +234,16 @@ def checked_stamp(stamp: float | None) -> float | None:
     return value
 
 
+def checked_height(height_m: float, sigma_m: float) -> tuple[float, float]:
+    """Return a height and its standard deviation, both finite and within ``MAX_METRES``."""
+    height, sigma = (_number(v, n, "metres") for v, n in ((height_m, "height"), (sigma_m, "sigma")))
+    if not abs(height) <= MAX_METRES:
+        raise InvalidScan(f"height must be finite and at most {MAX_METRES:g} m, not {height}")
+    if not 0.0 <= sigma <= MAX_METRES:
+        raise InvalidScan(f"standard deviation of a height must be 0 m or more, not {sigma}")
+    return height, sigma
+
+
 def checked_pose(pose: ArrayLike, name: str) -> Pose:
     """Return a copy of ``pose`` as a (4, 4) float64 rigid transform within ``MAX_METRES``."""
     T: Pose = as_array(pose, name, np.float64).copy()

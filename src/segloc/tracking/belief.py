@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -21,6 +21,10 @@ _MIN_PROBABILITY = 1e-3
 """Hypotheses below this are dropped."""
 _MAX_LOG_RATIO = 300.0
 """Larger log-ratios would overflow."""
+_WRONG_HEIGHT, _CONTRADICTS = 0.002, -4.5
+"""Share of observed heights that are wrong, and log-ratio below which one contradicts a place."""
+_LEAST_HEIGHT_M = 0.3
+"""Least standard deviation of a height: floors are not level, and maps lean."""
 _MOST_SQUARED = 22.5
 """Squared error of a correction, by its covariance, of which six degrees of freedom exceed one in a
 thousand."""
@@ -113,11 +117,28 @@ class View:
         return next(here, None)
 
 
+@dataclass(frozen=True)
+class Height:
+    """Height of the sensor in the map [m], observed after ``at`` metres from ``T_odom_sensor``."""
+
+    metres: float
+    sigma_m: float
+    at: float
+    T_odom_sensor: Pose
+
+    def expected(self, T_odom_sensor: Pose, at: float, drift_up: float) -> tuple[float, float]:
+        """Return the height elsewhere on the path, and its standard deviation [m]."""
+        climbed = float(T_odom_sensor[2, 3] - self.T_odom_sensor[2, 3])
+        sigma = math.hypot(self.sigma_m, drift_up * (at - self.at), _LEAST_HEIGHT_M)
+        return self.metres + climbed, sigma
+
+
 @dataclass
 class Hypothesis:
     """A possible place of the robot; its pose was measured ``at`` and from ``T_odom_sensor``.
 
-    ``evidence`` is that of the newest view here, taken at ``seen_at``. ``views`` counts the views
+    ``evidence`` is that of the newest view here, taken at ``seen_at``; ``height`` is the log-ratio
+    of the newest observed height, which the probability contains. ``views`` counts the views
     that support it, overlapping ones by their new share. It is ``accepted`` from ``min_confidence``
     on, for as long as it is more probable than not. ``doubted`` is a pose that a single view has
     moved too far.
@@ -134,6 +155,7 @@ class Hypothesis:
     views: float = 1.0
     accepted: bool = False
     doubted: Pose | None = None
+    height: float = 0.0
 
 
 class Belief:
@@ -171,6 +193,7 @@ class Belief:
         self.config, self._separation, self._alike = config, separation, alike
         self.min_confidence = min_confidence
         self.travelled, self._count = 0.0, 0
+        self.height: Height | None = None
         self.clear()
 
     def clear(self) -> None:
@@ -197,6 +220,8 @@ class Belief:
         for h in self.hypotheses:
             h.T_map_odom = h.T_map_odom @ geometry.inverse(T_new_old)
             h.T_odom_sensor = T_new_old @ h.T_odom_sensor
+        if self.height is not None:
+            self.height = replace(self.height, T_odom_sensor=T_new_old @ self.height.T_odom_sensor)
         self.problem = problem
         self.move(self.config.jump_m)
 
@@ -209,6 +234,38 @@ class Belief:
             [Hypothesis(*where, probability, 0.0, views=0.0)],
             1.0 - probability,
         )
+
+    def observe(self, height: Height) -> bool:
+        """Update by an observed height of the sensor.
+
+        Of the errors of heights, as of a barometer in changing weather, one is much like the next:
+        an observation replaces the one before. It excludes places, and confirms none: that of a
+        robot that is lost is unknown.
+
+        Returns
+        -------
+        bool
+            True if it contradicts the track, as :meth:`update`.
+        """
+        track, self.height = self.track, height
+        contradicted = False
+        for h in self.hypotheses:
+            told = self._height_ratio(h)
+            h.probability *= math.exp(told - h.height)
+            if h is track and (contradicted := told < _CONTRADICTS <= h.height):
+                self.problem = "the height contradicts the track"
+            h.height = told
+        self._normalize(track)
+        return contradicted
+
+    def _height_ratio(self, h: Hypothesis) -> float:
+        """Return the log-ratio of the observed height at a hypothesis against "lost"."""
+        if self.height is None:
+            return 0.0
+        metres, sigma = self.height.expected(h.T_odom_sensor, h.at, self.config.drift_up)
+        off = float((h.T_map_odom @ h.T_odom_sensor)[2, 3]) - metres
+        fits = math.exp(-0.5 * (off / sigma) ** 2)
+        return math.log((1.0 - _WRONG_HEIGHT) * fits + _WRONG_HEIGHT)
 
     def update(self, view: View) -> bool:
         """Update by Bayes' rule: every place is compared with the same cloud.
@@ -237,7 +294,7 @@ class Belief:
             h.probability *= math.exp(gain)
             h.evidence, h.seen_at = seen.evidence + (1.0 - seen.told) * before, view.at
             if view.searched:
-                h.probability = max(h.probability, self._share_of(seen))
+                h.probability = max(h.probability, self._share_of(seen) * math.exp(h.height))
             if seen.evidence > 0.0:
                 h.views += view.new
                 self._move(h, seen, view)
@@ -282,7 +339,10 @@ class Belief:
         """Add a place: it takes its share of "lost"."""
         self._count += 1
         where = self._count, place.T_map_odom, view.T_odom_sensor, place.covariance, view.at
-        self.hypotheses.append(Hypothesis(*where, self._share_of(place), place.evidence, view.at))
+        h = Hypothesis(*where, self._share_of(place), place.evidence, view.at)
+        h.height = self._height_ratio(h)
+        h.probability *= math.exp(h.height)
+        self.hypotheses.append(h)
 
     def _share_of(self, place: Reading) -> float:
         """Return the probability of a place, before normalisation, if it was lost before."""

@@ -2,6 +2,7 @@
 
     python -m segloc_lab.protocols.kidnapping --worlds 48 --out kidnapping.jsonl
     python -m segloc_lab.protocols.kidnapping --alike --worlds 42 --trials 3 --out alike.jsonl
+    python -m segloc_lab.protocols.kidnapping --lifted --worlds 4 --trials 4 --out lifted.jsonl
 
 A part of each world is mapped in one session and driven through in another, with other cars and a
 tenth of the things replaced. Each robot drives 40 m along the map. Then it is put to another street
@@ -9,6 +10,10 @@ tenth of the things replaced. Each robot drives 40 m along the map. Then it is p
 100 m, or as far as the drive goes: if possible 60 m along the map. Its odometry drifts by 1 % and
 goes on as if nothing had happened. With ``--alike``, it is put to the place whose view is most
 alike by heights and free space all around it, 12 m away at least, turned as is most alike.
+With ``--lifted``, buildings of three storeys of one plan are mapped, all of them; the robot rides a
+lift to the same place of another storey. Trials differ by the heights that it observes: none; those
+of a barometer, 0.5 m off at random and drifting by 1 m; the same with every twentieth wrong by up
+to 10 m; and the same with those of the old storey for 5 m after the lift.
 Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of the truth, where the
 map has the place. Held: metres of the whole trial localized farther off than that.
 
@@ -19,15 +24,17 @@ kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds
 from __future__ import annotations
 
 import time
+from argparse import Namespace
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import reduce
 from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from segloc import Config, Localizer, Scan, build_map, geometry
+from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.live import Status, play, pose_errors
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.tools.datasets import Selection
@@ -35,7 +42,15 @@ from segloc.types import Derived, Float64, Int64, Recording
 
 from ..recordings import Cached
 from ..report import Cell, Table, earlier, keep, publish, resumed, share
-from ..simulation import PLATFORMS, SCENES, SENSORS, Conditions, OdometryNoise, simulate_sessions
+from ..simulation import (
+    PLATFORMS,
+    SCENES,
+    SENSORS,
+    Conditions,
+    OdometryNoise,
+    building,
+    simulate_sessions,
+)
 
 BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
 ALIKE_M = 12.0
@@ -61,6 +76,8 @@ class Kind:
     length_m: float = 500.0
     spacing_m: float = 2.0
     platform: str | None = None
+    storeys: int = 1
+    differ: float = 0.0
 
 
 KINDS = (
@@ -84,6 +101,16 @@ ALIKE_KINDS = (
     Kind("park", "os1-64", 250.0),
 )
 """Those of ``--alike``."""
+LIFTED_KINDS = (
+    Kind("building", "os1-64", 40.0, 120.0, 0.5, "wheeled", 3, 0.0),
+    Kind("building", "vlp16", 40.0, 120.0, 0.5, "wheeled", 3, 0.0),
+    Kind("building", "os1-64", 40.0, 120.0, 0.5, "wheeled", 3, 0.5),
+)
+"""Those of ``--lifted``."""
+LIFTED = ("lift", "lift, height", "lift, glitches", "lift, late height")
+LATE_M, GLITCH_M, GLITCHES = 5.0, 10.0, 20
+SIGMA_M, WEATHER_M = 0.5, 1.0
+"""Noise of a barometer, and its drift over a trial."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +164,13 @@ class Carried(Derived[Recording]):
     def __len__(self) -> int:
         return len(self.positions)
 
+    def until(self, end: int) -> Carried:
+        """Return the drive up to a position after which another drive begins."""
+        count = self.first + int(np.searchsorted(self.positions[self.first :], end))
+        clock = None if self.clock is None else self.clock[:count]
+        kept = self.positions[:count], self.poses[:count], self.turns[:count]
+        return Carried(self.source, *kept, clock, self.first)
+
     def scan(self, i: int) -> Scan:
         points = self.source.scan(int(self.positions[i])).points
         return Scan(geometry.transform(geometry.inverse(self.turns[i]), points))
@@ -169,7 +203,8 @@ class World:
         config = Config(threads=1)
         self.mapped = mapped.select(Selection((tuple(ends),)))
         prior_map = build_map(self.mapped, config)
-        self.localizer, self.drive = Localizer(prior_map, config), Cached(driven)
+        self.localizer = Localizer(prior_map, config)
+        self.drive: Recording = Cached(driven)
         self.truths = driven.truth
         self._beside = distances_to_path(self.truths, prior_map.trajectory)
         self._inside = inside = self._beside <= COVERAGE_RADIUS_M
@@ -222,9 +257,11 @@ class World:
         np.maximum.at(view[1], sector[stands], np.minimum(points[stands, 2], TALL_M))
         return view / [[REACH_M], [TALL_M]]
 
-    def followed(self, carried: Carried) -> Localized:
-        """Return where segloc localizes the robot of a drive."""
-        played = play(self.localizer, carried)
+    def followed(
+        self, carried: Carried, heights: list[tuple[float, float] | None] | None = None
+    ) -> Localized:
+        """Return where segloc localizes the robot of a drive, which may observe its height."""
+        played = play(self.localizer, carried, heights=heights)
         metres, degrees = pose_errors(played, self.truths_of(carried))
         kinds = [played.states[int(k)].status for k in played.positions]
         off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
@@ -236,10 +273,16 @@ class World:
         """Return the true poses of the robot of a drive, (N, 4, 4)."""
         return self.truths[carried.positions] @ carried.turns
 
-    def _tried(self, number: int, way: str, carried: Carried) -> Trial:
+    def _tried(
+        self,
+        number: int,
+        way: str,
+        carried: Carried,
+        heights: list[tuple[float, float] | None] | None = None,
+    ) -> Trial:
         path = geometry.distance_travelled(self.truths_of(carried)[carried.first :])
         kind = self.kind
-        found = self.followed(carried)
+        found = self.followed(carried, heights)
         return Trial(
             self.seed,
             number,
@@ -298,6 +341,86 @@ class World:
             return None
         later = stamps[second] - stamps[second[0]] + stamps[first[-1]] + 1.0
         return np.concatenate([stamps[first], later])
+
+
+@dataclass(frozen=True)
+class Joined(Derived[Recording]):
+    """Recordings one after another, of which the source is the first."""
+
+    parts: tuple[Recording, ...]
+
+    poses = None
+
+    @property
+    def indices(self) -> Int64:
+        return np.arange(sum(map(len, self.parts)), dtype=np.int64)
+
+    @property
+    def stamps(self) -> Float64 | None:
+        known = [part.stamps for part in self.parts if part.stamps is not None]
+        return np.concatenate(known) if len(known) == len(self.parts) else None
+
+    def scan(self, i: int) -> Scan:
+        for part in self.parts:
+            if i < len(part):
+                return part.scan(i)
+            i -= len(part)
+        raise IndexError(i)
+
+
+class Building(World):
+    """A map of all storeys of a building, and the same drive on each of them."""
+
+    def __init__(self, kind: Kind, seed: int, replaced: float = 0.1) -> None:
+        self.kind, self.seed = kind, seed
+        world = building(seed, size_m=kind.size_m, storeys=kind.storeys, differ=kind.differ)
+        config, maps, drives, truths = Config(threads=1), [], [], []
+        for storey in range(kind.storeys):
+            mapped, driven = simulate_sessions(
+                world,
+                SENSORS[kind.sensor]().thinned(2),
+                [Conditions(), Conditions(replaced=replaced)],
+                length_m=kind.length_m,
+                spacing_m=kind.spacing_m,
+                seed=seed,
+                platform=PLATFORMS[kind.platform or "wheeled"](),
+                storey=storey,
+            )
+            maps.append(build_map(mapped, config))
+            drives.append(Cached(driven))
+            truths.append(driven.truth)
+        self.localizer = Localizer(reduce(SegmentMap.merge, maps), config)
+        self.drive = Joined(drives[0], tuple(drives))
+        self._length = min(map(len, drives))
+        self.truths = np.concatenate(truths)
+
+    def lifted(self, number: int) -> Trial:
+        """Return one trial of a robot that rides a lift; reproducible by its number."""
+        way = LIFTED[number % len(LIFTED)]
+        rng = np.random.default_rng([self.seed, number // len(LIFTED)])
+        spacing, length = self.kind.spacing_m, self._length
+        start, end = rng.choice(self.kind.storeys, 2, replace=False)
+        least, most = BEFORE_M / spacing, length - RECOVERED_M / spacing
+        at = int(rng.uniform(least, max(least + 1, most)))
+        carried = self._carried(at + start * length, at + end * length, 0.0, rng)
+        carried = carried.until((end + 1) * length)
+        return self._tried(number, way, carried, self._heights(way, carried, rng))
+
+    def _heights(
+        self, way: str, carried: Carried, rng: np.random.Generator
+    ) -> list[tuple[float, float] | None] | None:
+        """Return what the robot observes of its height before each scan; None for nothing."""
+        if way == "lift":
+            return None
+        count, first = len(carried), carried.first
+        heights = self.truths_of(carried)[:, 2, 3].copy()
+        if "late" in way:
+            heights[first : first + int(LATE_M / self.kind.spacing_m)] = heights[first - 1]
+        if "glitches" in way:
+            heights[rng.permutation(count)[: count // GLITCHES]] += rng.uniform(-GLITCH_M, GLITCH_M)
+        drift = WEATHER_M * np.linspace(0.0, rng.choice([-1.0, 1.0]), count)
+        heights += drift + rng.normal(0.0, SIGMA_M, count)
+        return [(float(height), SIGMA_M) for height in heights]
 
 
 @dataclass(frozen=True)
@@ -410,12 +533,21 @@ def read(paths: Iterable[Path]) -> list[Trial]:
     return [found[key] for key in sorted(found)]
 
 
+def _world(seed: int, args: Namespace) -> World:
+    """Return the world of a seed."""
+    if args.lifted:
+        return Building(LIFTED_KINDS[seed % len(LIFTED_KINDS)], seed)
+    kinds = ALIKE_KINDS if args.alike else KINDS
+    return World(kinds[seed % len(kinds)], seed)
+
+
 def main() -> None:
     options = resumed(__doc__, "kidnapping.jsonl")
     options.add_argument("--worlds", type=int, default=48)
     options.add_argument("--trials", type=int, default=5, help="in each world")
     options.add_argument("--first-seed", type=int, default=4104)
     options.add_argument("--alike", action="store_true", help="carry them to where most is alike")
+    options.add_argument("--lifted", action="store_true", help="let them ride lifts")
     options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
     options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
     args = options.parse_args()
@@ -429,8 +561,10 @@ def main() -> None:
         for number in range(args.trials):
             if (seed, number) in done or time.monotonic() - begun > args.seconds:
                 continue
-            kinds = ALIKE_KINDS if args.alike else KINDS
-            world = world or World(kinds[seed % len(kinds)], seed)
+            world = world or _world(seed, args)
+            if isinstance(world, Building):
+                keep(args.out, asdict(world.lifted(number)))
+                continue
             if not len(world.known):  # a drive need not meet the map
                 continue
             trial = world.alike(number) if args.alike else world.trial(number)

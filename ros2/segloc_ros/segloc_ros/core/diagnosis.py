@@ -192,6 +192,7 @@ def _values(robot: Robot) -> dict[str, str]:
         values["point times"] = robot.time_notes
     if (core := robot.core) is not None:
         values |= {"scans": str(core.scans), "dropped": str(core.dropped)}
+        values["unused heights"] = str(core.unused_heights)
     if (last := robot.last) is not None:
         values["last query"] = "accepted" if last.localized else last.message
         values["candidates"] = " ".join(f"{place.probability:.3f}" for place in last.places)

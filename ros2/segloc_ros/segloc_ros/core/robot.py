@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Localization, Localizer, Prior, Scan, SeglocError, geometry
+from segloc import InvalidScan, Localization, Localizer, Prior, Scan, SeglocError, geometry
 from segloc.live import LidarOdometry, LiveCore, QueryRequest, State, Status
 from segloc.robot import (
     Float64,
@@ -309,6 +309,23 @@ class Robot:
         """sensor_msgs/NavSatFix."""
         self._fix = fix
         return []
+
+    def on_height(self, stamp: float, frame: str, metres: float, variance: float) -> list[Reply]:
+        """geometry_msgs/PoseWithCovarianceStamped, of which z and its variance count.
+
+        Raises
+        ------
+        InvalidScan
+            If a number is not finite, the variance is negative, or the frame is not the map's.
+        """
+        if frame_name(frame) != self.settings.map_frame:
+            raise InvalidScan(
+                f"height ignored: its frame is {frame or 'empty'}, not {self.settings.map_frame}"
+            )
+        if not 0.0 <= variance < np.inf:
+            raise InvalidScan(f"height ignored: its variance is {variance}, not 0 m2 or more")
+        sigma_m = float(np.sqrt(variance)) or self.settings.height_sigma_m
+        return [] if self.core is None else self._tell(self.core.add_height(stamp, metres, sigma_m))
 
     def on_click(self, click: Click) -> str:
         """Take a rough pose: forget the current one and search near it.

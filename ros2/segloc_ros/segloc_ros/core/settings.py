@@ -75,6 +75,13 @@ class Settings(Section):
         "",
         description="sensor_msgs/NavSatFix, where to search first in a georeferenced map; '': none",
     )
+    height_topic: str = Field(
+        "",
+        description="PoseWithCovarianceStamped, whose z is the base's height in the map; '': none",
+    )
+    height_sigma_m: float = Field(
+        0.5, gt=0, description="its standard deviation if the covariance is 0, metres"
+    )
     click_topic: str = Field(
         "initialpose", description="a rough pose, as RViz sends it, to refine; '': none"
     )

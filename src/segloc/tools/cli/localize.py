@@ -46,6 +46,7 @@ def localize(
     tolerance_m: options.Metres = 3.0,
     tolerance_deg: options.Degrees = 5.0,
     near: options.Near = None,
+    height: options.Height = None,
     radius: options.Radius = 50.0,
     anywhere: options.Anywhere = False,
     gnss: options.Gnss = False,
@@ -72,7 +73,7 @@ def localize(
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
     options.check_every(every)
-    place = options.parsed_prior(near, radius, anywhere)
+    place = options.parsed_prior(near, radius, anywhere, height)
     if html is not None:
         checked_target(html)
     _check_out(out, debug, alone=workers == 1 and cluster is None)

@@ -130,6 +130,14 @@ Near = Annotated[
         show_default="anywhere",
     ),
 ]
+Height = Annotated[
+    str | None,
+    typer.Option(
+        metavar="Z[,TOLERANCE]",
+        help="Search at this height of the sensor [m] only, in the map's frame: a storey.",
+        show_default="any; tolerance 1.5",
+    ),
+]
 Radius = Annotated[float, typer.Option(metavar="METRES", help="Search radius around --near.")]
 Anywhere = Annotated[
     bool,
@@ -170,12 +178,23 @@ Degrees = Annotated[
 ]
 
 
-def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | None:
-    """Parse the prior of --near and --radius."""
+def parsed_prior(
+    near: str | None, radius: float, anywhere: bool, height: str | None = None
+) -> Prior | None:
+    """Parse the prior of --near, --radius and --height."""
     from ...prior import Prior
 
+    known: dict[str, float] = {}
+    if height is not None:
+        try:
+            numbers = [float(part) for part in height.split(",", maxsplit=1)]
+        except ValueError as error:
+            raise ConfigError(
+                f"--height expects Z or Z,TOLERANCE in metres, not {height!r:.60}"
+            ) from error
+        known = dict(zip(("height_m", "height_tolerance_m"), numbers, strict=False))
     if near is None:
-        return None
+        return Prior(anywhere=anywhere, **known) if known else None
     try:
         x, y, *rest = near.split(",")
         up, yaw = (*rest, "", "")[: max(2, len(rest))]
@@ -186,7 +205,7 @@ def parsed_prior(near: str | None, radius: float, anywhere: bool) -> Prior | Non
             "--near expects X,Y or X,Y,Z in metres, or X,Y,Z,YAW with degrees (Z may be empty), "
             f"not {near!r:.60}"
         ) from error
-    return Prior(position, radius, anywhere, heading)
+    return Prior(position, radius, anywhere, heading, **known)
 
 
 def parsed_georeference(epsg: int | None, origin: str | None) -> Georeference | None:

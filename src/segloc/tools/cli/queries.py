@@ -106,7 +106,7 @@ def gnss_priors(
     """
     georeference = Georeference.of(prior_map.metadata)
     if near is not None:
-        raise ConfigError("--gnss and --near exclude each other")
+        raise ConfigError("--gnss excludes --near and --height")
     if georeference is None:
         raise ConfigError("--gnss needs a georeferenced map: build it with --epsg and --origin")
     fixes = read_fixes(path)
@@ -183,10 +183,12 @@ def _describe_excluded(queries: Queries, results: Sequence[Localization]) -> str
     anywhere = localizer.localize(cloud)
     if prior is None or not anywhere.localized:
         return None
-    x, y = anywhere.T_map_sensor[:2, 3]
+    x, y, z = anywhere.T_map_sensor[:3, 3]
     away = float(prior.distances(anywhere.T_map_sensor[None, :3, 3])[0])
+    where = f"{x:.1f}, {y:.1f}, {z:.1f}"
+    if prior.has_position:
+        where += f", {away:.0f} m from its centre"
     return (
-        f"the prior excludes them: query {queries.recording.indices[position[0]]} is at "
-        f"{x:.1f}, {y:.1f}, {away:.0f} m from its centre (confidence {anywhere.confidence:.2f}). "
-        "Correct the position, widen --radius, or add --anywhere"
+        f"the prior excludes them: query {queries.recording.indices[position[0]]} is at {where} "
+        f"(confidence {anywhere.confidence:.2f}). Correct the prior, widen it, or add --anywhere"
     )
