@@ -70,6 +70,24 @@ class Api:
     add_point_cloud = add_line_segments = add_arrows = add_label = _add
 
 
+def test_viewpoints_of_a_finished_cloud_are_points_and_no_trajectory() -> None:
+    axes_of = pytest.importorskip("matplotlib.figure").Figure
+    prior_map = SegmentMap.empty("geo", "f", 2, (5.0, 5.0, 0.0))
+    places = np.stack([geometry.yaw_transform(0.0, (4.0 * k, 0.0, 1.0)) for k in range(4)])
+    prior_map.add_trajectory(places)
+    for source, shown, words in (
+        ("", "/map/trajectory", "mapped trajectory"),
+        ("cloud", "/map/viewpoints", "viewpoints of the map"),
+    ):
+        prior_map.metadata["source"] = source
+        api = Api()
+        assert [name for _, name in MapScene(api, prior_map).draw_map()] == [words]
+        assert list(api.drawn) == [shown]
+        axes = prior_map.plot(axes_of().add_subplot())
+        (label,) = axes.get_legend_handles_labels()[1]
+        assert label == words.replace("mapped trajectory", "trajectory of the map")
+
+
 @pytest.mark.slow
 def test_debug_keeps_each_query_small_and_whole(site: Site, results: Path) -> None:
     shown = read_results(results)

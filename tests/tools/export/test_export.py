@@ -329,6 +329,8 @@ def test_viewpoints_of_a_finished_cloud_are_no_drive(tmp_path: Path) -> None:
     kinds = [(f["geometry"]["type"], len(f["properties"])) for f in features]
     assert kinds == [("MultiLineString", 2), ("MultiPoint", 2)]
     assert [features[0]["properties"]["poses"], features[1]["properties"]["viewpoints"]] == [8, 4]
+    (note,) = export(path, "tum", tmp_path / "a.tum")
+    assert note == "4 viewpoints of these poses were chosen in a cloud, not driven"
 
 
 def test_what_makes_no_sense_is_one_clear_line(

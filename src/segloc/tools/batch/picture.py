@@ -16,7 +16,6 @@ from ..inspect.pictures import (
     DARK,
     GREEN,
     GREY,
-    PATH,
     RED,
     SMALL_PT,
     TEXT_PT,
@@ -25,12 +24,14 @@ from ..inspect.pictures import (
     coordinates,
     density,
     dots,
+    draw_path,
     legend,
     plan,
     png,
     scale,
     title,
 )
+from ..inspect.plots import draw_trajectory
 from .score import PATH_BREAK_M, Evaluation
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def draw(prior_map: SegmentMap, evaluation: Evaluation, heading: str) -> bytes:
     _draw_map(axes, prior_map, low, high)
     if evaluation.truths is not None:
         style = {"color": BLUE, "ls": (0, (1, 2)), "label": "true trajectory of the queries"}
-        _draw_path(axes, evaluation.truths[:, :2, 3], **style)
+        draw_path(axes, evaluation.truths[:, :2, 3], **style)
     _draw_found(axes, evaluation)
     _draw_refused(axes, evaluation)
     legend(axes)
@@ -91,10 +92,7 @@ def _draw_map(axes: Axes, prior_map: SegmentMap, low: Float64, high: Float64) ->
     where = Georeference.of(prior_map.metadata)
     coordinates(axes, ("x, m", "y, m") if where is None else ("x (east), m", "y (north), m"))
     density(axes, prior_map.cloud[:, :2] + prior_map.origin[:2], low, high)
-    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
-    _draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
-    if not driven.all():
-        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
+    draw_trajectory(axes, prior_map)
     scale(axes)
 
 
@@ -123,13 +121,6 @@ def _figure_size(extent: Float64) -> tuple[float, float]:
     shape = extent / extent.max() * _LONG_SIDE_IN
     width, height = np.maximum(shape, _SHORT_SIDE_IN)
     return float(max(width, 7.0)), float(height) + _HEADING_IN
-
-
-def _draw_path(axes: Axes, path: Float64, **style: Any) -> None:
-    if not len(path):
-        return
-    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
-    axes.plot(*np.insert(path, jumps, np.nan, axis=0).T, lw=1.2, zorder=1, **style)
 
 
 def _draw_found(axes: Axes, evaluation: Evaluation) -> None:

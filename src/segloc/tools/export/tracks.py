@@ -17,6 +17,7 @@ from ...errors import ConfigError, SeglocError
 from ...geometry import ros_covariance
 from ...map.georeference import Georeference
 from ...system.files import write_text
+from ...system.text import quantity
 from ...types import Float64, Pose
 from ..io import Trajectory, write_tum
 from .sources import AlignedSource, FoundSource, MapSource, Source
@@ -96,11 +97,19 @@ def write_tum_files(source: Source, out: Path, in_cloud: bool = False) -> list[s
     listed = list(tracks(source, in_cloud))
     if not isinstance(source, AlignedSource) or len(listed) == 1:
         write_tum(out, *listed[0][1:])
-        return []
+        return _viewpoints_note(source)
     out.mkdir(parents=True, exist_ok=True)
     for k, (_, track, remark) in enumerate(listed):
         write_tum(out / f"session_{k}.tum", track, remark)
     return []
+
+
+def _viewpoints_note(source: Source) -> list[str]:
+    """Tell poses that a sensor had from viewpoints chosen in a cloud or plan."""
+    chosen = int((~source.prior_map.is_driven).sum()) if isinstance(source, MapSource) else 0
+    if not chosen:
+        return []
+    return [f"{quantity(chosen, 'viewpoints')} of these poses were chosen in a cloud, not driven"]
 
 
 def write_geojson(

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
+BREAK_M = 35.0
+"""Poses of a path farther apart are not connected [m]."""
 GREEN, RED, ORANGE, BLUE = "#12a150", "#e5243b", "#f0883e", "#2e62d6"
 """Correct; false; query or rejected; truth."""
 DARK, PATH, GREY, PALE = "#3f4756", "#7d8aa0", "#c3c9d4", "#e6e9ef"
@@ -148,6 +150,14 @@ def legend(axes: Axes, **place: Any) -> None:
 def dots(axes: Axes, points: Any, **style: Any) -> PathCollection:
     """Draw points (N, 2 or more) from above."""
     return axes.scatter(points[:, 0], points[:, 1], **{"linewidths": 0, **style})
+
+
+def draw_path(axes: Axes, path: Any, **style: Any) -> None:
+    """Draw a path (N, 2) from above, with gaps where it jumps; nothing if it is empty."""
+    if not len(path):
+        return
+    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > BREAK_M) + 1
+    axes.plot(*np.insert(path, jumps, np.nan, axis=0).T, lw=1.2, zorder=1, **style)
 
 
 def density(axes: Axes, points: Any, low: Any, high: Any) -> None:

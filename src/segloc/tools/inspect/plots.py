@@ -10,7 +10,19 @@ from ...errors import MissingDependency
 from ...localization import Localization
 from ...map.segment_map import SegmentMap
 from ...types import Float64, Pose
-from .pictures import GREEN, PATH, RED, SMALL_PT, TEXT_PT, coordinates, density, plan, scale
+from .pictures import (
+    GREEN,
+    PATH,
+    RED,
+    SMALL_PT,
+    TEXT_PT,
+    coordinates,
+    density,
+    dots,
+    draw_path,
+    plan,
+    scale,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +32,7 @@ _ARROW = 0.05  # length of a heading, as a share of the picture's width
 
 
 def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
-    """Draw a map from above: points in grey, and where it was driven.
+    """Draw a map from above: points in grey, where it was driven, and viewpoints.
 
     Raises
     ------
@@ -29,14 +41,22 @@ def plot_map(prior_map: SegmentMap, axes: Axes | None = None) -> Axes:
     """
     axes = axes if axes is not None else _new_axes()
     points = prior_map.cloud[:, :2] + prior_map.origin[:2]
-    way = prior_map.trajectory[prior_map.is_driven, :2, 3]
+    way = prior_map.trajectory[:, :2, 3]
     low, high = _extent(np.concatenate([points, way, prior_map.centroids[:, :2]]))
     density(axes, points, low, high)
-    axes.plot(*way.T, color=PATH, lw=1.0, label="trajectory of the map")
+    draw_trajectory(axes, prior_map)
     plan(axes, low, high)
     coordinates(axes)
     scale(axes)
     return axes
+
+
+def draw_trajectory(axes: Axes, prior_map: SegmentMap) -> None:
+    """Draw where a map was driven as lines, and viewpoints chosen in a cloud or plan as dots."""
+    places, driven = prior_map.trajectory[:, :2, 3], prior_map.is_driven
+    draw_path(axes, places[driven], color=PATH, label="trajectory of the map")
+    if not driven.all():
+        dots(axes, places[~driven], s=4, color=PATH, zorder=1, label="viewpoints of the map")
 
 
 def plot_result(result: Localization, prior_map: SegmentMap, axes: Axes | None = None) -> Axes:

@@ -15,6 +15,7 @@ from ...map.georeference import Georeference
 from ...map.segment_map import SegmentMap
 from ...types import Float32, Float64, Pose
 from .pictures import (
+    BREAK_M,
     GREEN,
     HEIGHTS,
     MAGENTA,
@@ -40,7 +41,7 @@ OTHER, RUNNER_UP = "other matches", "runner-up"
 OF_QUERY = ("sensor", "cloud", "segments", "matches that agree", OTHER, RUNNER_UP)
 """Layers that can be hidden: of the map, of a map with a robot, of the selected query."""
 _MAX_POINTS = 400_000
-_BREAK_M = 35.0  # poses farther apart are not connected
+_EYE_M = 0.5  # size of a viewpoint
 _ARROW_M, _CHOSEN_M = 3.0, 12.0  # lengths of the arrows of sensors
 _ABOVE_M = 6.0  # inliers are drawn from this height, nearly upright, so that they stand out
 _BACK, _UP, _IN_VIEW_M = 0.47, 0.63, 95.0  # the camera, in widths of what is in view; least width
@@ -77,29 +78,38 @@ class MapScene:
         return np.asarray(points - self._map.origin, dtype=np.float32)
 
     def draw_map(self) -> list[tuple[str, str]]:
-        """Draw the cloud, and where it was driven; return the legend of the cloud.
+        """Draw the cloud, where it was driven, and viewpoints; return the legend.
 
         The cloud is coloured by height; by the session of the nearest segment if there are several.
         """
         cloud = self._map.cloud[:: 1 + len(self._map.cloud) // _MAX_POINTS]
-        path = self.local(self._map.trajectory[:, :3, 3])
-        pairs = np.stack([path[:-1], path[1:]], axis=1)
-        near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < _BREAK_M
-        driven = self._map.is_driven
-        near &= driven[:-1] & driven[1:]
-        self.lines("trajectory", "/map/trajectory", pairs[near], MAGENTA, 0.3)
+        legend = self._draw_trajectory()
         sessions, session = np.unique(self._map.session, return_inverse=True)
         if not len(cloud):
-            return []
+            return legend
         if len(sessions) < 2:
             self.points("map", "/map/cloud", cloud, by_height(cloud[:, 2]), 0.12)
             low, high = np.percentile(cloud[:, 2] + self._map.origin[2], [2, 98])
-            return [(HEIGHTS[0], f"map at {low:.0f} m"), (HEIGHTS[-1], f"at {high:.0f} m")]
+            heights = (HEIGHTS[0], f"map at {low:.0f} m"), (HEIGHTS[-1], f"at {high:.0f} m")
+            return [*heights, *legend]
         nearest = cKDTree(self.local(self._map.centroids)).query(cloud)[1]
         colours = [PALETTE[k % len(PALETTE)] for k in range(len(sessions))]
         table = np.array([rgb(colour) for colour in colours], np.uint8)
         self.points("map", "/map/cloud", cloud, table[session[nearest]], 0.12)
-        return [(colour, f"session {k}") for colour, k in zip(colours, sessions, strict=True)]
+        named = ((colour, f"session {k}") for colour, k in zip(colours, sessions, strict=True))
+        return [*named, *legend]
+
+    def _draw_trajectory(self) -> list[tuple[str, str]]:
+        """Draw drives as lines, and viewpoints chosen in a cloud or plan as points."""
+        path, driven = self.local(self._map.trajectory[:, :3, 3]), self._map.is_driven
+        pairs = np.stack([path[:-1], path[1:]], axis=1)
+        near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < BREAK_M
+        near &= driven[:-1] & driven[1:]
+        self.lines("trajectory", "/map/trajectory", pairs[near], MAGENTA, 0.3)
+        chosen = path[~driven]
+        self.points("trajectory", "/map/viewpoints", chosen, _all(MAGENTA, chosen), _EYE_M)
+        kinds = (driven.any(), "mapped trajectory"), (not driven.all(), "viewpoints of the map")
+        return [(MAGENTA, name) for exists, name in kinds if exists]
 
     def draw_queries(self, queries: Sequence[Shown]) -> None:
         """Draw an arrow per query by outcome; rejected ones at the best pose, if stored."""

@@ -25,7 +25,7 @@ from ...system.text import quantity
 from ...types import Float64, Pose
 from .following import COLOURS as OF_STATES
 from .following import Moment, draw_moments, newest_points, read_moments
-from .pictures import BLUE, DARK, GREEN, MAGENTA, PALE, RED, VIOLET, rgb
+from .pictures import BLUE, DARK, GREEN, PALE, RED, VIOLET, rgb
 from .results import Shown
 from .scene import COLOURS, FIXED, OF_QUERY, OTHER, ROBOT, RUNNER_UP, MapScene
 from .trace import Tables
@@ -39,7 +39,6 @@ _OF_CLOUD = (
     (RED, "cloud off the map"),
     (VIOLET, RUNNER_UP),
 )
-_TRAJECTORY = ((MAGENTA, "mapped trajectory"),)
 _STYLE = Template("""
 <style>
 #segloc { position: fixed; top: 1em; right: 1em; z-index: 900; width: 23em; max-width: 40vw;
@@ -376,14 +375,14 @@ def _legend(
     outcomes = {query.outcome for query in queries}
     found = [(colour, name) for name, colour in COLOURS.items() if name in outcomes]
     detailed = any(query.stages is not None for query in queries)
-    return (*of_map, *_TRAJECTORY, *found, *(_OF_CLOUD if detailed else ()))
+    return (*of_map, *found, *(_OF_CLOUD if detailed else ()))
 
 
 def _of_robot() -> tuple[tuple[str, str], ...]:
     names: dict[str, list[str]] = {}
     for state, colour in OF_STATES.items():
         names.setdefault(colour, []).append(state)
-    return (*_TRAJECTORY, *((colour, " or ".join(each)) for colour, each in names.items()))
+    return tuple((colour, " or ".join(each)) for colour, each in names.items())
 
 
 def _swatches(legend: Sequence[tuple[str, str]]) -> str:
