@@ -107,25 +107,3 @@ def test_threads_and_instruction_sets_do_not_matter(isa: str) -> None:
     parts = [segment(n, n) for n in (1, 2, 5, 100, 256, 257, 3000, 9000)] * 3
     expected = prepare(parts, threads=1, isa="auto")
     np.testing.assert_array_equal(prepare(parts, threads=4, isa=isa), expected)
-
-
-def test_no_segments_and_empty_segments() -> None:
-    assert prepare([]).shape == (0, 256, 3)
-    out = prepare([segment(20, 0), np.empty((0, 3)), segment(30, 1)])
-    assert not out[1].any()
-    assert out[0].any()
-
-
-def test_wrong_input() -> None:
-    points = segment(10, 0)
-    good = np.array([0, 10], np.int64)
-    for offsets in ([0, 9], [1, 10], [0, 7, 5, 10], []):
-        with pytest.raises(ValueError, match="offsets must"):
-            _native.prepare_segments(points, np.array(offsets, np.int64))
-    with pytest.raises(ValueError, match="alignment must be"):
-        _native.prepare_segments(points, good, 256, "pca")
-    with pytest.raises(ValueError, match="count must be"):
-        _native.prepare_segments(points, good, 0)
-    points[3, 1] = np.inf
-    with pytest.raises(ValueError, match="not finite"):
-        _native.prepare_segments(points, good)
