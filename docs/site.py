@@ -118,7 +118,7 @@ def _cell(text: str) -> str:
 
 def configuration() -> str:
     """Return the page of configuration keys, with defaults and meanings."""
-    text = Config.load(None, None).explained(True)
+    text = Config.load(None, None).explain(True)
     head = "# Configuration\n\nEvery key with its default, as `segloc config --all` prints it.\n"
     return f"{head}\n```yaml\n{text.rstrip()}\n```\n"
 
@@ -185,7 +185,7 @@ TABLES: dict[str, tuple[tuple[str, ...], list[tuple[str, ...]]]] = {
     "loops": (_KEY, _keys(alignment.RECORD)),
     "export formats": (
         ("format", "source", "output"),
-        [(f"`{name}`", kind.required, kind.text) for name, kind in FORMATS.items()],
+        [(f"`{name}`", kind.requirement, kind.text) for name, kind in FORMATS.items()],
     ),
 }
 """Head and rows of the tables that are generated from the code, by name."""

@@ -1,4 +1,4 @@
-"""The laboratory stands on public names of segloc, and its modules on each other in one direction."""
+"""The laboratory stands on public names of segloc, and no two of its modules on each other."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geomet
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.segment_map import along, replaced
+from segloc.map.segment_map import along, with_parts
 from segloc.tiles import (
     TiledLocalizer,
     TiledMap,
@@ -342,7 +342,7 @@ def session_of(whole: SegmentMap, centre: Any, radius: float, aside: float = 0.2
     columns["session"] = np.zeros(len(part), np.int32)
     columns["missed"] = np.zeros(len(part), np.int32)
     path = np.stack([geometry.yaw_transform(0.0, (*centre, 301.0 + k)) for k in range(2)])
-    return compacted(replaced(part, segments=columns, trajectory=path), CompactConfig())
+    return compacted(with_parts(part, segments=columns, trajectory=path), CompactConfig())
 
 
 # --- localization ---------------------------------------------------------------------------------
