@@ -118,7 +118,7 @@ def _cell(text: str) -> str:
 
 def configuration() -> str:
     """Return the page of configuration keys, with defaults and meanings."""
-    text = Config.load(None, None).explain(True)
+    text = Config.load(None, None).explained(True)
     head = "# Configuration\n\nEvery key with its default, as `segloc config --all` prints it.\n"
     return f"{head}\n```yaml\n{text.rstrip()}\n```\n"
 

@@ -26,12 +26,6 @@ def test_a_right_loop_takes_the_drift_out_of_a_path() -> None:
     assert ate(tied(odometry, loops), truths) < 0.5 * ate(odometry, truths)
 
 
-def test_views_are_compared_at_every_turn() -> None:
-    here = np.random.default_rng(2).uniform(size=(2, kidnapping.SECTORS))
-    differs, turn = kidnapping._unlike(here, np.roll(here, -7, axis=1))
-    assert differs == 0.0 and turn == pytest.approx(-2.0 * np.pi * 7 / kidnapping.SECTORS)
-
-
 @pytest.mark.slow
 def test_rivals_follow_a_robot_at_its_smallest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -92,7 +92,7 @@ class Config(BuildConfig):
         merged = _merge(preset.model_dump(), {**values, "method": preset.method})
         return validate(cls, merged, str(path))
 
-    def explain(self, every: bool = False) -> str:
+    def explained(self, every: bool = False) -> str:
         """Format as YAML with the meaning of each key: those of :data:`FOR_USERS`, or all."""
         return "\n".join(_explain(self, "", "", every)) + "\n"
 

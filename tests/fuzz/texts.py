@@ -24,7 +24,7 @@ def read(data: bytes) -> None:
 
 
 SEEDS = [
-    b"\1" + b"100:947,1001:,7", b"\0" + Config().explain().encode(),
+    b"\1" + b"100:947,1001:,7", b"\0" + Config().explained().encode(),
     b"\0method: geo\nmapping: {views: [{length_m: 1.0}]}\nthreads: 2\n", b"\0seed: 2001-01-01\n",
 ]  # fmt: skip
 WORDS = ("!!python/object", "!!int", "!!float", "!!timestamp", "!!binary", "!!set", "<<", "*a",

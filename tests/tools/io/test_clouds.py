@@ -88,23 +88,3 @@ def test_files_of_several_folders_are_placed_by_their_poses(
     assert np.abs(np.concatenate(list(read_cloud(given, poses=poses))) - points).max() < 1e-4
     with pytest.raises(DatasetError, match="5 poses for 6 files"):
         next(read_cloud(given, poses=poses[:5]))
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "message"),
-    [
-        ("a.pcd", b"VERSION 0.7\n", "not a PCD file"),
-        ("b.pcd", pcd(rows(np.ones((50, 3))), "binary")[:-9], "promises 50 points"),
-        ("a.ply", b"ply\n", "header"),
-        ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
-        ("c.pcd", pcd(rows(np.ones((50, 3))), "ascii")[:-40], "promises 50 points"),
-        ("a.laz", b"LASF" + bytes(300), "not a LAS file"),
-        ("a.doc", b"text", "not a point cloud"),
-    ],
-)
-def test_damage_is_one_error(tmp_path: Path, name: str, data: bytes, message: str) -> None:
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(DatasetError, match=message) as found:
-        read(tmp_path / name)
-    assert name in str(found.value)
-    assert "\n" not in str(found.value)

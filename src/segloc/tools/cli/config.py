@@ -19,4 +19,4 @@ def config(
     """Print the configuration as YAML, with defaults and the meaning of each key."""
     from ...config import Config
 
-    print(Config.load(None, method).explain(every), end="")
+    print(Config.load(None, method).explained(every), end="")
