@@ -185,7 +185,7 @@ TABLES: dict[str, tuple[tuple[str, ...], list[tuple[str, ...]]]] = {
     "loops": (_KEY, _keys(alignment.RECORD)),
     "export formats": (
         ("format", "source", "output"),
-        [(f"`{name}`", kind.required, kind.text) for name, kind in FORMATS.items()],
+        [(f"`{name}`", kind.requirement, kind.text) for name, kind in FORMATS.items()],
     ),
 }
 """Head and rows of the tables that are generated from the code, by name."""

@@ -68,7 +68,8 @@ warnings.simplefilter("ignore")
 from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, Localizer, build_map, geometry
 plaza = Plaza(0)
-localizer = Localizer(build_map(PlazaSequence(plaza, steps=3), Config.preset("profile")))
+config = Config.preset("profile").model_copy(update={{"threads": 2}})  # a pool in each process
+localizer = Localizer(build_map(PlazaSequence(plaza, steps=3), config), config)
 scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
 expected = localizer.localize(scan).T_map_sensor.tobytes()
 stop = threading.Event()

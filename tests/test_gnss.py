@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples.datasets import bag_writer
 from samples.maps import town
 from samples.plaza import Plaza, PlazaSequence
 
@@ -144,10 +145,7 @@ def test_wrong_fixes_are_survived(plaza: Plaza, plaza_map: SegmentMap) -> None:
 @pytest.mark.ros
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
 def test_fixes_of_a_bag(kind: str, tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    writer = BagWriter(kind)
+    writer = bag_writer(kind)
     for k in range(5):
         variance = (4.0, 9.0) if k else None
         writer.fix("/gps/fix", 50.0 + k, (48.1, 11.5 + 1e-5 * k, 520.0), variance)

@@ -116,37 +116,11 @@ def test_exact_surfaces_are_no_missing_returns() -> None:
         assert (len(scan), scan.missing_returns, scan.kept) == (len(points), 0, None)
 
 
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.zeros(3),
-        np.zeros((4, 2)),
-        np.zeros((4, 3, 1)),
-        np.zeros((4, 3), dtype=np.int32),
-        np.zeros((4, 3), dtype=bool),
-        np.zeros((4, 3), dtype=complex),
-        np.zeros((4, 3), dtype=object),
-        np.array([["1", "2", "3"]]),
-        np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("h", "f4")]),
-        None,
-        "points",
-        [],
-        [[1.0, 2.0, 3.0], [1.0]],
-    ],
-    ids=str,
-)
-def test_what_is_no_cloud(points: Any) -> None:
-    with pytest.raises(InvalidScan, match=r"^points must ") as caught:
-        Scan(points)
-    assert "\n" not in str(caught.value)
-    assert isinstance(caught.value, SeglocError)
-    assert isinstance(caught.value, ValueError)
-
-
 @pytest.mark.parametrize("times", [np.zeros(3), np.zeros((4, 2)), 0.0, ["a"] * 4, [[1], [2, 3]]])
 def test_times_must_fit(times: Any) -> None:
-    with pytest.raises(InvalidScan, match=r"^times must "):
+    with pytest.raises(InvalidScan, match=r"^times must ") as caught:
         Scan(np.zeros((4, 3)), times=times)
+    assert isinstance(caught.value, SeglocError) and isinstance(caught.value, ValueError)
 
 
 def test_poses_must_be_rigid_and_are_copied() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
 from segloc_lab.protocols import kidnapping, live_streams, rivals
+from segloc_lab.report import entries
 
 from segloc import Scan, geometry
 from segloc.loops.graph import Edges
@@ -89,7 +90,7 @@ def test_rivals_follow_a_robot_at_its_smallest(
     out = tmp_path / "rivals.jsonl"
     monkeypatch.setattr("sys.argv", ["rivals", "--worlds", "1", "--out", str(out)])
     rivals.main()
-    found = rivals.read([out])
+    found = rivals.followed_of(entries(out))
     assert [f.system for f in found] == sorted(rivals.SYSTEMS)
     for each in found:
         assert len(each.right) == len(each.scores) == each.first + len(each.path_m)
@@ -101,7 +102,7 @@ def test_rivals_follow_a_robot_at_its_smallest(
     # Answers accepted at one world by what another one implies: nothing without another.
     assert rivals._threshold(found, found[0].seed) == np.nextafter(np.inf, 0)
     rivals.main()
-    assert rivals.read([out]) == found  # nothing is done twice
+    assert rivals.followed_of(entries(out)) == found  # nothing is done twice
 
 
 @pytest.mark.slow

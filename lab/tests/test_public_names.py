@@ -1,4 +1,4 @@
-"""The laboratory stands on public names of segloc."""
+"""The laboratory stands on public names of segloc, and no two of its modules on each other."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import segloc_lab
+from samples.source import Package
 
 DEEPER = ("segloc.system", "segloc.tools.cli", "segloc.tools.datasets", "segloc.descriptors")
 """Rooms whose modules are names themselves: helpers and plug-ins."""
@@ -33,3 +34,7 @@ def test_the_laboratory_imports_public_names_at_most_one_level_deep() -> None:
         if m.replace(".tools.", ".", 1).count(".") > 1 and not m.startswith(DEEPER)
     }
     assert deep == set()
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert list(Package(Path(segloc_lab.__file__).parent).circles()) == []

@@ -1,13 +1,15 @@
-"""Reports are complete, name their command, and are never rewritten."""
+"""Reports are complete and never rewritten; runs that are cut off resume."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from segloc_lab.report import Table, publish, reporting, write
+from segloc_lab.runner import Runner
 
 from segloc.errors import ConfigError
 
@@ -29,3 +31,27 @@ def test_a_report_has_its_command_tables_and_environment(
     with pytest.raises(SystemExit):
         reporting("A script.").parse_args(["--report", str(folder)])
     assert "never rewritten" in capsys.readouterr().err
+
+
+def square(n: int) -> dict[str, Any] | None:
+    return {"n": n, "square": n * n} if n != 3 else None
+
+
+def test_a_run_resumes_and_adds_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(*words: str, out: str = "a.jsonl") -> list[int]:
+        """Squares of the results."""
+        monkeypatch.setattr(sys, "argv", ["x", "--out", str(tmp_path / out), *words])
+        runner = Runner("x", "x.jsonl", first_seed=1, worlds=2, parallel=True)
+        runner.parse()
+        found = runner.run(square, runner.seeds, ("n",), lambda n: [n])
+        return [each["square"] for each in found]
+
+    assert run("--seconds", "0") == [1]  # no second one is begun
+    assert run() == [1, 4]
+    kept = (tmp_path / "a.jsonl").read_text()
+    assert run("--worlds", "4") == [1, 4, 16]  # 3 has no result
+    assert (tmp_path / "a.jsonl").read_text().startswith(kept)
+    assert run("--first-seed", "7", "--worlds", "1", out="b.jsonl") == [49]
+    files = [str(tmp_path / name) for name in ("a.jsonl", "b.jsonl")]
+    assert run("--add", *files, out="c.jsonl") == [1, 4, 16, 49]
+    assert not (tmp_path / "c.jsonl").exists()

@@ -80,23 +80,3 @@ def test_ties_and_repeated_points(grid: np.ndarray) -> None:
             np.sort(order, axis=1), np.tile(np.arange(n), (len(points), 1))
         )
         np.testing.assert_array_equal(order, expected)
-
-
-def test_empty_input() -> None:
-    assert _native.fps(np.empty((0, 256, 3), np.float32), 160).shape == (0, 160)
-    assert _native.fps(clouds(2, 5), 0).shape == (2, 0)
-
-
-def test_wrong_input() -> None:
-    points = clouds(2, 16)
-    with pytest.raises(ValueError, match="samples must not exceed"):
-        _native.fps(points, 17)
-    with pytest.raises(ValueError, match=r"shape \(P, N, 3\)"):
-        _native.fps(points[..., :2].copy(), 4)
-    with pytest.raises(ValueError, match="isa must be"):
-        _native.fps(points, 4, 1, "sse")
-    with pytest.raises(TypeError):
-        _native.fps(points.astype(np.float64), 4)
-    points[1, 3, 0] = np.nan
-    with pytest.raises(ValueError, match="not finite"):
-        _native.fps(points, 4)

@@ -88,17 +88,6 @@ def test_inference_equals_pytorch(name: str, isa: str) -> None:
     np.testing.assert_allclose(found_quality, quality.numpy(), atol=1e-5)
 
 
-def test_threads_and_neighbours_in_the_batch_do_not_matter() -> None:
-    network, segments = native(random_model("dsm"), 256), prepared(43)
-    vectors, quality = network.describe(segments, 1)
-    for threads in (2, 5):
-        again, again_quality = network.describe(segments, threads)
-        np.testing.assert_array_equal(again, vectors)
-        np.testing.assert_array_equal(again_quality, quality)
-    for i in (0, 9, 42):
-        np.testing.assert_array_equal(network.describe(segments[i : i + 1])[0][0], vectors[i])
-
-
 def test_dilated_neighbours_are_exact() -> None:
     segments = prepared(4)
     segments[0, 50:] = segments[0, np.arange(206) % 50]  # repeated points tie
@@ -110,33 +99,6 @@ def test_dilated_neighbours_are_exact() -> None:
         for isa in ("portable", "auto"):
             found = _native.dilated_neighbors(segments, sources, queries, k, dilation, 1, isa)
             np.testing.assert_array_equal(found, expected)
-
-
-def test_extreme_segments() -> None:
-    """Tiny, huge and repeated points are within bounds and give finite neighbours."""
-    network = native(random_model("dsm"), 256)
-    segments = prepared(4)
-    segments[0] *= np.float32(1e-30)
-    segments[1] *= np.float32(1e14)
-    segments[2] = 0
-    segments[3, 1:] = 0
-    assert np.isfinite(network.describe(segments)[0][[0, 2, 3]]).all()
-
-
-def test_wrong_input() -> None:
-    model = random_model("dsm")
-    network = native(model, 256)
-    with pytest.raises(ValueError, match=r"shape \(P, 256, 3\)"):
-        network.describe(np.zeros((2, 255, 3), np.float32))
-    for value in (np.nan, np.inf, 1e20):
-        with pytest.raises(ValueError, match="not finite or beyond"):
-            network.describe(np.full((1, 256, 3), value, np.float32))
-    tensors = export.folded(model)
-    with pytest.raises(ValueError, match="layer table"):
-        _native.Network([(160, 8, 99, 32)], tensors)
-    with pytest.raises(ValueError, match="not part of this network"):
-        table = [(x.points, x.neighbors, x.dilation, x.channels) for x in DSM_LAYERS]
-        _native.Network(table, {**tensors, "extra": np.zeros(3, np.float32)})
 
 
 def write(path: Path, change: str) -> None:

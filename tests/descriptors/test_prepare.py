@@ -29,30 +29,6 @@ def prepare(parts: list[np.ndarray], **options: object) -> np.ndarray:
     return _native.prepare_segments(points, offsets, **options)  # type: ignore[arg-type]
 
 
-def aligned_2d(points: np.ndarray) -> np.ndarray:
-    """The rule of SegMap's cnn.cpp in double: major axis to x, then the half-plane rule."""
-    p = points.astype(np.float64) - points.mean(axis=0, dtype=np.float64)
-    values, vectors = np.linalg.eigh(np.cov(p[:, :2].T, bias=True))
-    major = vectors[:, np.argmax(values)]
-    p = yaw(p, -np.arctan2(major[1], major[0]))
-    middle = (p[:, 1].min() + p[:, 1].max()) / 2
-    if (p[:, 1] < middle).sum() < len(p) / 2:
-        p[:, :2] *= -1
-    return p
-
-
-def as_set(points: np.ndarray) -> np.ndarray:
-    return points[np.lexsort(points.T)]
-
-
-def test_small_segment_is_aligned_as_a_whole() -> None:
-    for seed in range(10):
-        points = segment(256, seed)
-        np.testing.assert_allclose(
-            as_set(prepare([points])[0]), as_set(aligned_2d(points)), atol=2e-4, rtol=0
-        )
-
-
 def test_alignment_removes_yaw() -> None:
     points = segment(700, 5)
     turned = [yaw(points - points.mean(axis=0), a) for a in np.linspace(0, 6, 13)]
@@ -107,25 +83,3 @@ def test_threads_and_instruction_sets_do_not_matter(isa: str) -> None:
     parts = [segment(n, n) for n in (1, 2, 5, 100, 256, 257, 3000, 9000)] * 3
     expected = prepare(parts, threads=1, isa="auto")
     np.testing.assert_array_equal(prepare(parts, threads=4, isa=isa), expected)
-
-
-def test_no_segments_and_empty_segments() -> None:
-    assert prepare([]).shape == (0, 256, 3)
-    out = prepare([segment(20, 0), np.empty((0, 3)), segment(30, 1)])
-    assert not out[1].any()
-    assert out[0].any()
-
-
-def test_wrong_input() -> None:
-    points = segment(10, 0)
-    good = np.array([0, 10], np.int64)
-    for offsets in ([0, 9], [1, 10], [0, 7, 5, 10], []):
-        with pytest.raises(ValueError, match="offsets must"):
-            _native.prepare_segments(points, np.array(offsets, np.int64))
-    with pytest.raises(ValueError, match="alignment must be"):
-        _native.prepare_segments(points, good, 256, "pca")
-    with pytest.raises(ValueError, match="count must be"):
-        _native.prepare_segments(points, good, 0)
-    points[3, 1] = np.inf
-    with pytest.raises(ValueError, match="not finite"):
-        _native.prepare_segments(points, good)

@@ -76,24 +76,6 @@ def test_features_of_pairs(seed: int, plain: int, ratios: bool, histogram: int) 
     np.testing.assert_allclose(ours, np.concatenate(expected, axis=1), rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ({"first_child": np.array([0, -1, -1], np.int32)}, "behind it"),
-        ({"first_child": np.array([2, -1, -1], np.int32)}, "behind it"),
-        ({"feature": np.array([7, 0, 0], np.int32)}, "feature that is not there"),
-        ({"feature": np.array([-1, 0, 0], np.int32)}, "feature that is not there"),
-        ({"roots": np.array([3], np.int32)}, "root"),
-        ({"roots": np.array([], np.int32)}, "at least one tree"),
-        ({"threshold": np.array([0.5, np.nan, 0], np.float32)}, "not finite"),
-        ({"threshold": np.array([0.5], np.float32)}, "same length"),
-    ],
-)
-def test_broken_trees_are_refused(change: dict[str, np.ndarray], fault: str) -> None:
-    with pytest.raises(ValueError, match=fault):
-        _native.Forest(**{**STUMP.arrays(), **change}, features=1)
-
-
 class Plain(ForestDescriptor):
     name = "plain"
     dim = 1

@@ -97,19 +97,6 @@ def test_network_equals_torch(isa: str) -> None:
     np.testing.assert_allclose(ours, x.numpy(), rtol=1e-4, atol=1e-5 * float(x.max()))
 
 
-def test_neither_batches_nor_threads_change_a_bit() -> None:
-    network = _native.VoxelNetwork(random_tensors(1, (32, 32, 32)))
-    shapes = segmap.prepare(packed([*clouds(70)]), threads=2)
-    together = network.describe(shapes.voxels, shapes.offsets, shapes.scales, threads=1)
-    threaded = network.describe(shapes.voxels, shapes.offsets, shapes.scales, threads=2)
-    np.testing.assert_array_equal(threaded, together)
-    for i in (0, 41, 69):
-        inside = slice(*shapes.offsets[i : i + 2])
-        voxels = np.ascontiguousarray(shapes.voxels[inside])
-        alone = network.describe(voxels, np.array([0, len(voxels)]), shapes.scales[i : i + 1])
-        np.testing.assert_array_equal(alone[0], together[i])
-
-
 def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
     path, tensors = tmp_path / "w.safetensors", random_tensors()
     write_segmap(path, tensors, {"data": "none"})

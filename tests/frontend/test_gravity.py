@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from samples.plaza import Plaza
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from segloc import InvalidScan, Scan, _native, geometry
@@ -46,72 +45,9 @@ def room(rng: np.random.Generator, count: int = 20_000) -> Float32:
     return np.asarray(points + rng.normal(0, 0.01, points.shape), np.float32)
 
 
-def reference_normals(points: Float64, radius: float, least: int, thickness: float) -> Float64:
-    """Of every point whose neighbours lie in a plane."""
-    tree, normals = cKDTree(points), []
-    for point in points:
-        near = tree.query_ball_point(point, radius / 2)
-        if len(near) < least:
-            near = tree.query_ball_point(point, radius)
-        if len(near) < least:
-            continue
-        values, axes = np.linalg.eigh(np.cov(points[near].T, bias=True))
-        flat = values[0] < thickness**2 and values[0] < 0.04 * values[1]
-        if flat and values[1] > 0.05 * values[2]:
-            normals.append(axes[:, 0])
-    return np.array(normals).reshape(-1, 3)
-
-
 def flat_normals(points: Float32, radius: float, least: int, most: int) -> Float32:
     """Of points that each have a voxel of their own."""
     return _native.flat_normals(points, 20.0, 1e-4, radius, least, 0.05, most)
-
-
-TOLERANCES = np.radians([10.0, 7.0, 5.0, 3.0, 3.0])
-
-
-def reference_vertical(normals: Float64, directions: Float64) -> Float64:
-    """The direction along the normals of floors and across those of walls."""
-    squared = (directions @ normals.T) ** 2
-    nearest = np.minimum(squared, 1.0 - squared) / np.sin(np.radians(8.0)) ** 2
-    up: Float64 = directions[np.maximum(1.0 - nearest, 0.0).sum(axis=1).argmax()]
-    for tolerance in TOLERANCES:
-        along = np.abs(normals @ up)
-        floors, walls = normals[along > np.cos(tolerance)], normals[along < np.sin(tolerance)]
-        axis = np.linalg.eigh(walls.T @ walls - floors.T @ floors)[1][:, 0]
-        up = axis * np.sign(axis @ up)
-    return up
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_vertical_is_that_of_the_reference(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    R = turn(rng, rng.uniform(0, 30))
-    axes = np.eye(3)[rng.choice(3, 700, p=[0.1, 0.2, 0.7])] + rng.normal(0, 0.03, (700, 3))
-    every = np.concatenate([axes @ R.T, rng.normal(size=(200, 3))])
-    normals = (every / np.linalg.norm(every, axis=1, keepdims=True)).astype(np.float32)
-    directions = rng.normal(size=(4000, 3)) + [0, 0, 3]
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    up = _native.fit_vertical(normals, directions, TOLERANCES.tolist())
-    expected = reference_vertical(normals.astype(np.float64), directions)
-    np.testing.assert_allclose(up, expected, atol=1e-12)
-    assert angle_deg(up, R @ Z) < 1.0
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_plane_normals_are_those_of_the_reference(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    points = np.concatenate([room(rng, 1500), rng.uniform(-4, 4, (300, 3)).astype(np.float32)])
-    expected = reference_normals(points.astype(np.float64), 1.5, 8, 0.05)
-    found = flat_normals(points, 1.5, 8, len(points))
-    assert len(found) == len(expected) > 500
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-6)
-    along = np.abs(found @ expected.T)  # in another order, of either sign
-    assert along.max(axis=0).min() > 1 - 1e-6
-    assert along.max(axis=1).min() > 1 - 1e-6
-    few = flat_normals(points, 1.5, 8, 200)
-    assert 50 < len(few) <= 200
-    assert np.abs(few @ expected.T).max(axis=1).min() > 1 - 1e-6
 
 
 def test_up_turns_with_the_scan(plaza: Plaza) -> None:

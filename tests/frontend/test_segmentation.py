@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 import pytest
@@ -86,60 +85,10 @@ def test_segments_above_several_heights_are_the_clusters_above_each(
         np.testing.assert_allclose(mean, heights[each].mean(dtype=np.float64), rtol=1e-6)
 
 
-def test_points_are_split_by_their_height() -> None:
-    rng = np.random.default_rng(3)
-    for count in (0, 1, 500):
-        points = rng.normal(size=(count, 3)).astype(np.float32)
-        heights = rng.normal(size=count).astype(np.float32)
-        above, below = _native.split_by_height(points, heights, 0.2)
-        np.testing.assert_array_equal(above, points[heights > 0.2])
-        np.testing.assert_array_equal(below, points[heights <= 0.2])
-
-
 def hillside(rng: np.random.Generator, slope: float, count: int = 20_000) -> np.ndarray:
     xy = rng.uniform(-30, 30, (count, 2))
     z = slope * xy[:, 0] + 0.3 * np.sin(xy[:, 1] / 4) + rng.normal(0, 0.02, count)
     return np.column_stack([xy, z])
-
-
-def reference_heights(points: np.ndarray, cell: float, slope: float, step: float) -> np.ndarray:
-    """Heights above the lower envelope of the lowest supported points, by plain loops."""
-    low = np.floor(points[:, :2].astype(np.float64).min(axis=0) / cell)
-    at = (points[:, :2] - low * cell) / cell
-    size = at.astype(int).max(axis=0) + 1
-    z = np.full(size, np.inf, np.float32)
-    np.minimum.at(z, tuple(at.astype(int).T), points[:, 2])
-    ground = z.copy()
-    known = np.argwhere(np.isfinite(z))
-    for i in known:
-        ring = np.abs(known - i).max(axis=1)
-        near = (ring > 0) & (ring <= 10)
-        others = np.abs(z[tuple(known[near].T)] - z[tuple(i)])
-        level = np.count_nonzero(others <= (step + 0.05 * cell * ring[near]).astype(np.float32))
-        if level < 24 and level < 0.15 * np.count_nonzero(near):
-            ground[tuple(i)] = np.inf
-    z = ground if np.isfinite(ground).any() else z
-    for _ in range(int(size.sum())):  # a step of the envelope: to all eight neighbours
-        border = np.pad(z, 1, constant_values=np.inf)
-        for dx, dy in itertools.product((0, 1, 2), (0, 1, 2)):
-            rise = slope * cell * math.hypot(dx - 1, dy - 1)
-            z = np.minimum(z, border[dx : dx + size[0], dy : dy + size[1]] + rise)
-    x, y = np.clip(at - 0.5, 0, size - 1).T
-    ix, iy = x.astype(int), y.astype(int)
-    jx, jy = np.minimum(ix + 1, size[0] - 1), np.minimum(iy + 1, size[1] - 1)
-    u, v = x - ix, y - iy
-    near_row, far_row = (1 - u) * z[ix, iy] + u * z[jx, iy], (1 - u) * z[ix, jy] + u * z[jx, jy]
-    return np.asarray(points[:, 2] - ((1 - v) * near_row + v * far_row), np.float32)
-
-
-@pytest.mark.parametrize("cell", [0.5, 0.7])
-def test_heights_are_those_of_the_reference(cell: float) -> None:
-    rng = np.random.default_rng(3)
-    points = rng.uniform((-9, -4, 0), (6, 5, 0.4), size=(700, 3)).astype(np.float32)
-    points[:60, 2] += rng.uniform(-3, 3, 60).astype(np.float32)
-    found = _native.heights_above_ground(points, cell, 0.2, 0.3)
-    expected = reference_heights(points, cell, 0.2, 0.3)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("slope", [0.0, -0.15])
@@ -244,21 +193,6 @@ def test_degenerate_clouds_give_few_or_no_segments(points: np.ndarray, num_scans
     assert len(scene.segments) <= 2
     assert np.isfinite(scene.segments.centroids).all()
     assert np.isfinite(scene.segments.heights).all()
-
-
-def test_kernels_refuse_what_they_cannot_use() -> None:
-    points = np.zeros((4, 3), np.float32)
-    with pytest.raises(ValueError, match="size must be from 1e-06"):
-        _native.voxel_grid(points, 0.0)
-    with pytest.raises(ValueError, match=r"\(N, 3\)"):
-        _native.voxel_grid(np.zeros((4, 2), np.float32), 0.1)
-    with pytest.raises(TypeError):
-        _native.voxel_grid(points.astype(np.float64), 0.1)
-    wide = np.array([[0, 0, 0], [3e7, 3e7, 3e7]], np.float32)
-    with pytest.raises(ValueError, match="too"):
-        _native.voxel_grid(wide, 1e-6)
-    with pytest.raises(ValueError, match="too wide"):
-        _native.heights_above_ground(wide, 1.0, 0.2, 0.3)
 
 
 def test_ground_of_a_cloud_tens_of_kilometres_wide() -> None:

@@ -128,24 +128,6 @@ def test_what_of_a_map_is_seen_and_what_violates_free_space(
     assert np.abs(np.subtract(counts, expected)).max() <= 1  # one may be decided by rounding
 
 
-def test_a_wall_that_is_gone_violates_free_space_and_one_behind_another_is_not_judged() -> None:
-    y, z = (v.ravel().astype(np.float32) for v in np.mgrid[-6:6:0.2, -1:2:0.2])
-
-    def wall(x: float) -> Float32:
-        return np.column_stack([np.full_like(y, x), y, z]).astype(np.float32)
-
-    floor = np.stack(np.meshgrid(np.arange(-12, 12, 0.5), np.arange(-12, 12, 0.5), [-1.7]), -1)
-    ground = floor.reshape(-1, 3).astype(np.float32)
-
-    def shares(live: Float32, prior_map: Float32) -> tuple[int, int]:
-        return VisibilityCheck(live, ground, 30.0, 2.0, 0.4).count(prior_map, np.eye(4), 0.4, 0.7)
-
-    assert shares(wall(8), wall(8)) == (len(y), 0)
-    assert shares(wall(8), wall(11)) == (0, 0)  # hidden
-    seen, through = shares(wall(8), wall(5))
-    assert seen == 0 and through > 0.5 * len(y)
-
-
 def test_a_place_is_believed_from_the_probability_that_is_asked_for(plaza: Plaza) -> None:
     config = Config.preset("geo")
     prior_map = build_map(PlazaSequence(plaza, steps=6), config)

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from samples.on_board import BODY, beside, with_mast
 from samples.plaza import Plaza
 from samples.streams import T_MAP_ODOM, Event, error_m, feed, put, walked
 
-from segloc import InvalidScan, Localizer, Prior, Scan, SegmentMap, geometry
+from segloc import InvalidScan, Localizer, Prior, Scan, geometry
 from segloc.live import LiveConfig, LiveCore, State, Status
 from segloc.motion import Motion
 from segloc.tracker import TrackerConfig
@@ -134,17 +133,6 @@ def test_scans_without_odometry_are_dropped_and_that_is_said(
     assert drive(core, walked(plaza, 3, start_s=120.0))[-1][0].status is Status.LOCALIZED
 
 
-def test_silence_of_the_sensor_is_said_once(localizer: Localizer, plaza: Plaza) -> None:
-    core = LiveCore(localizer, CONFIG)
-    *_, (events, _) = walked(plaza, 3)
-    drive(core, walked(plaza, 3))
-    T = events[-1].T_odom_base
-    messages = [s for k in range(50) for s in core.add_odometry(102.3 + 0.1 * k, T)]
-    assert [s.status for s in messages] == [Status.DEGRADED]
-    assert "no scan for 2" in messages[0].reason
-    assert core.report_silence(3.0).status is Status.DEGRADED
-
-
 def test_the_motion_in_a_scan_is_undone(
     localizer: Localizer, plaza: Plaza, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,28 +199,3 @@ def test_wrong_input_is_refused_and_changes_nothing(localizer: Localizer) -> Non
     assert core.add_scan(Scan(np.zeros((3, 3))), 0.0)
     core.add_odometry(1.0, far)
     assert core.add_scan(Scan(np.zeros((3, 3))), 1.0)
-
-
-@pytest.mark.parametrize("alone", [False, True])
-def test_points_on_the_robot_change_nothing_if_the_map_names_their_box(
-    plaza_map: SegmentMap, localizer: Localizer, plaza: Plaza, alone: bool
-) -> None:
-    if alone:
-        pytest.importorskip("kiss_icp")
-    config = localizer.config
-    local_cloud = config.local_cloud.model_copy(update={"body": BODY})
-    masking = Localizer(plaza_map, config.model_copy(update={"local_cloud": local_cloud}))
-    states = []
-    for used, change in ((localizer, beside), (masking, lambda points: with_mast(beside(points)))):
-        core = LiveCore(used, CONFIG, lidar_odometry=alone)
-        told = []
-        for events, _ in walked(plaza, 6, step=1.0, every_s=0.2):
-            for event in events:
-                if event.scan is not None:
-                    seen = Scan(change(event.scan.points), stamp=event.stamp)
-                    told += feed(core, [Event(event.stamp, seen)])
-                elif not alone:
-                    told += feed(core, [event])
-        assert core.state.localized
-        states.append([state.record() for state in told])
-    assert states[0] == states[1]

@@ -18,7 +18,6 @@ from segloc import (
     Localizer,
     Scan,
     SegmentMap,
-    _native,
     geometry,
 )
 from segloc.map.from_mesh import build_from_mesh
@@ -101,28 +100,6 @@ def test_no_viewpoint_lies_within_a_solid() -> None:
     plan = np.concatenate([storey(3), block]).astype(np.float32)
     floors = free_floors(PlanMesh.of(plan), 1.0)
     assert floors and all(floor.eyes[:, 0].max() < 24 for floor in floors)
-
-
-def test_rays_meet_the_first_triangle() -> None:
-    rng = np.random.default_rng(0)
-    triangles = (rng.normal(0, 5, (200, 1, 3)) + rng.normal(0, 1, (200, 3, 3))).astype(np.float32)
-    origins = rng.normal(0, 5, (500, 3)).astype(np.float32)
-    directions = rng.normal(size=(500, 3)).astype(np.float32)
-    ranges, hit = _native.MeshRays(triangles).cast(origins, directions, 100.0, 2)
-    nearest, first = np.full(500, np.inf), np.full(500, -1)
-    for k, (a, b, c) in enumerate(triangles.astype(np.float64)):
-        one, other = b - a, c - a
-        p = np.cross(directions, other)
-        s, q = origins - a, np.cross(origins - a, one)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u, v, t = np.stack([(s * p).sum(axis=1), (q * directions).sum(axis=1), q @ other]) / (
-                p @ one
-            )
-        closer = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < np.minimum(nearest, 100.0))
-        nearest[closer], first[closer] = t[closer], k
-    np.testing.assert_array_equal(hit, first)
-    assert 50 < (hit >= 0).sum() < 450
-    np.testing.assert_allclose(ranges, nearest, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

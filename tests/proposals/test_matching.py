@@ -67,23 +67,6 @@ def test_blocks_that_are_skipped_hold_no_neighbour(isa: str, dim: int) -> None:
         check(queries, database.astype(np.float32), k, isa)
 
 
-def test_fewer_points_than_neighbours() -> None:
-    rng = np.random.default_rng(2)
-    queries = rng.normal(size=(4, 16)).astype(np.float32)
-    check(queries, rng.normal(size=(7, 16)).astype(np.float32), 25)
-    assert _native.knn(queries, np.empty((0, 16), np.float32), 25)[0].shape == (4, 0)
-    assert _native.knn(np.empty((0, 16), np.float32), queries, 25)[0].shape == (0, 4)
-    assert _native.knn(queries, queries, 0)[1].shape == (4, 0)
-
-
-def test_wrong_input() -> None:
-    a = np.zeros((3, 16), np.float32)
-    with pytest.raises(ValueError, match="number of columns"):
-        _native.knn(a, np.zeros((3, 15), np.float32), 1)
-    with pytest.raises(ValueError, match="database has values"):
-        _native.knn(a, np.full((3, 16), np.nan, np.float32), 1)
-
-
 def test_an_index_that_reads_every_list_is_exact() -> None:
     rng = np.random.default_rng(3)
     database = rng.normal(size=(5000, 12)).astype(np.float32)

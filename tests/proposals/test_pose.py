@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
-from segloc import _native, geometry
+from segloc import geometry
 from segloc.proposals.pose import PoseConfig, PoseEstimator
 from segloc.types import Candidate, Matches
 
@@ -75,46 +74,6 @@ def test_utm_coordinates_lose_no_precision(estimator: str) -> None:
     query, prior_map, matches, T = scene(3, origin=5e6)
     found = PoseEstimator(PoseConfig(estimator=estimator)).estimate(query, prior_map, matches)
     assert error(found[0], T, query) < 0.5
-
-
-def reference_votes(
-    q: np.ndarray, m: np.ndarray, witness: np.ndarray, cells: np.ndarray, width: float, turn: float
-) -> list[int]:
-    """Distinct witnesses in all windows of two by two cells at every step of yaw, most first."""
-    votes: list[int] = []
-    middle = q.mean(axis=0)
-    yaw, x, y = cells[0]
-    T = geometry.yaw_transform(yaw)[:2, :2]
-    corner = np.array([x, y]) + T @ middle  # of some cell: the lattice is the same at every yaw
-    for step in range(round(2 * math.pi / turn)):
-        T = geometry.yaw_transform(step * turn - math.pi)[:2, :2]
-        cell = np.floor((m - (q - middle) @ T.T - corner) / width).astype(np.int64)
-        pairs = [np.column_stack([cell + (i, j), witness]) for i in (0, 1) for j in (0, 1)]
-        windows = np.unique(np.concatenate(pairs), axis=0)
-        counts = np.unique(windows[:, :2], axis=0, return_counts=True)[1]
-        votes += np.sort(counts[counts >= 3])[::-1][:48].tolist()
-    return sorted(votes, reverse=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("segments", "neighbours", "true"), [(40, 5, 8), (300, 12, 100)])
-def test_votes_are_those_of_an_exhaustive_count(segments: int, neighbours: int, true: int) -> None:
-    query, prior_map, matches, _ = scene(11, segments=segments, neighbours=neighbours, true=true)
-    expected: list[int] = []
-    for max_cells in (100_000, 512, 20):
-        runs = [
-            _native.pose_votes(
-                query, prior_map, matches.query, matches.map, 0.6, 0.0, max_cells, threads
-            )
-            for threads in (1, 3)
-        ]
-        votes, cells, width, turn = runs[0]
-        np.testing.assert_array_equal(votes, runs[1][0])
-        np.testing.assert_array_equal(cells, runs[1][1])
-        if not expected:
-            q, m = query[matches.query, :2], prior_map[matches.map, :2]
-            expected = reference_votes(q, m, matches.query, cells, width, turn)
-        assert votes.tolist() == expected[:max_cells]
 
 
 def reference_support(query: np.ndarray, prior_map: np.ndarray, matches: Matches) -> int:
@@ -221,29 +180,6 @@ def test_degenerate_matches_give_no_pose_or_a_rigid_one(estimator: str) -> None:
         for hypothesis in find(points, points, same):
             assert np.isfinite(hypothesis.T_map_local).all()
             assert abs(np.linalg.det(hypothesis.T_map_local[:3, :3]) - 1) < 1e-9
-
-
-def test_matches_that_name_no_segment_are_refused() -> None:
-    query, prior_map, matches, _ = scene(0)
-    wrong = Matches(matches.query + 1000, matches.map, matches.distance, matches.score)
-    with pytest.raises(ValueError, match="does not exist"):
-        PoseEstimator().estimate(query, prior_map, wrong)
-
-
-def test_rigid_fit_of_three_points_is_exact() -> None:
-    """Exactly three right matches: the pose can only come from the minimal fit."""
-    rng = np.random.default_rng(0)
-    query = np.array([[0, 0, 0], [30, 0, 1], [5, 25, 2.0]])
-    T = geometry.rigid(Rotation.random(random_state=1).as_matrix(), rng.normal(size=3) * 100)
-    index = np.arange(3, dtype=np.int64)
-    poses, inliers = _native.prosac(
-        query, geometry.transform(T, query), index, index, ordered=True, yaw_only=False,
-        edge_tolerance=0.5, inlier_tolerance=0.6, min_edge=3.0, chance=0.01, separation=3.0,
-        separation_deg=15.0,
-        max_draws=1000, max_hypotheses=8, seed=0,
-    )  # fmt: skip
-    assert inliers.tolist() == [3]
-    np.testing.assert_allclose(poses[0], T, atol=1e-9)
 
 
 @pytest.mark.parametrize("spread_m", [0.0, 30.0, 3000.0])

@@ -6,8 +6,10 @@ import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from segloc import geometry
@@ -50,6 +52,14 @@ class Drive:
         poses = [geometry.inverse(self.pose(time)) for time in times]
         pairs = zip(poses, self.landmarks, strict=True)
         return np.array([geometry.transform(T, point[None])[0] for T, point in pairs])
+
+
+def bag_writer(kind: str) -> Any:
+    """Return a ``BagWriter``; skip the test where rosbags is missing."""
+    pytest.importorskip("rosbags")
+    from samples.bags import BagWriter
+
+    return BagWriter(kind)
 
 
 def matrix(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Float64:

@@ -48,7 +48,7 @@ def seen(
     """What of the stems within 20 m is detected at a pose, in the sensor's frame."""
     rng = np.random.default_rng(seed)
     assert stems.diameters is not None
-    local = stems.moved(geometry.inverse(T))
+    local = stems.transform(geometry.inverse(T))
     near = (np.hypot(local[:, 0], local[:, 1]) < 20) & (rng.random(len(local)) < keep)
     local = local[near]
     moved = local[:, :3] + rng.normal(0, noise, (len(local), 3))

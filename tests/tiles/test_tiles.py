@@ -19,19 +19,17 @@ from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geomet
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.segment_map import along, replaced
+from segloc.map.segment_map import along, with_parts
 from segloc.tiles import (
     TiledLocalizer,
     TiledMap,
     cut_tiles,
     merge_into_tiles,
-    pieces,
     tiled_map,
     update_tiles,
 )
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
-from segloc.tiles.pieces import Pieces
 from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
 from segloc.tracker import TrackerConfig
@@ -344,7 +342,7 @@ def session_of(whole: SegmentMap, centre: Any, radius: float, aside: float = 0.2
     columns["session"] = np.zeros(len(part), np.int32)
     columns["missed"] = np.zeros(len(part), np.int32)
     path = np.stack([geometry.yaw_transform(0.0, (*centre, 301.0 + k)) for k in range(2)])
-    return compacted(replaced(part, segments=columns, trajectory=path), CompactConfig())
+    return compacted(with_parts(part, segments=columns, trajectory=path), CompactConfig())
 
 
 # --- localization ---------------------------------------------------------------------------------
@@ -372,28 +370,19 @@ def test_a_place_is_found_in_tiles_as_in_the_whole(
 
 @pytest.mark.slow
 def test_answers_in_tiles_are_those_of_one_map(
-    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
-    """Of places in the map and elsewhere; no cloud is prepared twice for a query."""
-    prepared, plain = list[SegmentMap](), pieces.likelihood_of
-
-    def counted(part: SegmentMap, config: Config) -> Any:
-        prepared.append(part)
-        return plain(part, config)
-
-    monkeypatch.setattr(pieces, "likelihood_of", counted)
+    """Of places in the map and elsewhere."""
     cut_tiles(plaza_map, tmp_path, size_m=50.0)
     tiles = TiledMap(tmp_path, memory_bytes=1)
-    assert 1 < len(tiles) <= pieces.MAX_ALL
+    assert len(tiles) > 1
     whole, localizer = Localizer(plaza_map, GEO), TiledLocalizer(tiles, GEO)
     there = geometry.yaw_transform(-2.0, (-8.0, 5.0, 1.7))
     found = 0
     for world, pose in ((plaza, TRUE), (plaza, there), (Plaza(seed=4242), TRUE)):
         scan = world.scan(pose, seed=77)
-        prepared.clear()
         expected, answer = whole.localize(scan), localizer.localize(scan)
         assert answer.reason is expected.reason
-        assert 0 < len(prepared) <= len(tiles)
         if expected.localized:
             found += 1
             assert np.allclose(answer.T_map_sensor, expected.T_map_sensor, atol=0.02)
@@ -478,25 +467,17 @@ def test_ambiguity_spans_tiles(plaza: Plaza, plaza_map: SegmentMap, tmp_path: Pa
 
 @pytest.mark.slow
 def test_what_stands_nowhere_is_refused_by_its_segments(
-    plaza_map: SegmentMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plaza_map: SegmentMap, tmp_path: Path
 ) -> None:
-    """No clouds are compared, and of all tiles only few are opened; but these must be there."""
-    index = cut_tiles(repeated(plaza_map, *AWAY), tmp_path, size_m=100.0)
-    elsewhere = Plaza(seed=4242).scan(TRUE, seed=77)
-    localizer, opened = TiledLocalizer(TiledMap(tmp_path)), list[str]()
-    plain = TiledMap.tile
-
-    def tile(self: TiledMap, tile: Any) -> SegmentMap:
-        opened.append(tile.file)
-        return plain(self, tile)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(TiledMap, "tile", tile)
-        patched.setattr(Pieces, "cloud", lambda *_: pytest.fail("clouds are compared"))
-        patched.setattr(Pieces, "occupancy", lambda *_: pytest.fail("clouds are compared"))
-        answer = localizer.localize(elsewhere)
+    """Of all tiles only few are fetched; but these must be there."""
+    store = pytest.importorskip("fsspec").filesystem("memory")
+    url, elsewhere = "memory://segloc-nowhere", Plaza(seed=4242).scan(TRUE, seed=77)
+    index = cut_tiles(repeated(plaza_map, *AWAY), url, size_m=100.0)
+    answer = TiledLocalizer(TiledMap(url, cache=tmp_path)).localize(elsewhere)
     assert answer.reason is Reason.NO_CONSISTENT_MATCHES and answer.counts["matches"] > 0
-    assert 0 < len(set(opened)) <= 4 < len(index.tiles)
-    (tmp_path / opened[0]).unlink()
-    with pytest.raises(MapFormatError, match=opened[0]):
-        TiledLocalizer(TiledMap(tmp_path)).localize(elsewhere)
+    fetched = {path.name for path in tmp_path.iterdir()} & {tile.file for tile in index.tiles}
+    assert 0 < len(fetched) <= 4 < len(index.tiles)
+    for name in fetched:
+        store.rm_file(f"/segloc-nowhere/{name}")
+    with pytest.raises(MapFormatError, match="tile_"):
+        TiledLocalizer(TiledMap(url, cache=tmp_path / "another")).localize(elsewhere)

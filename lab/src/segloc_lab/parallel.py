@@ -1,17 +1,11 @@
-"""Tasks of a study, by processes or an executor; a run that is cut off goes on."""
+"""Tasks of a study, by processes or an executor."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from pathlib import Path
-from typing import Any, Protocol
-
-from rich.progress import track
 
 from segloc.system.processes import Result, Task, as_finished, single_threaded_pool
-
-from .report import earlier, entries, keep
 
 
 def in_parallel(
@@ -30,45 +24,3 @@ def in_parallel(
         return
     with single_threaded_pool(min(workers, len(tasks))) as pool:
         yield from as_finished(work, tasks, pool)
-
-
-def kept_results(
-    out: Path,
-    work: Callable[[Task], dict[str, Any]],
-    tasks: Sequence[Task],
-    done: Callable[[Task, list[dict[str, Any]]], bool],
-    *,
-    workers: int = 1,
-    what: str = "tasks",
-) -> list[dict[str, Any]]:
-    """Return the results of tasks; each is kept in a file of JSON lines as it comes.
-
-    Parameters
-    ----------
-    out : Path
-        Results of earlier runs are kept; their tasks are left out.
-    work, tasks, workers
-        As of :func:`in_parallel`.
-    done : callable
-        Whether earlier results hold that of a task.
-    what : str
-        Name of the tasks beside the progress.
-    """
-    before = earlier(out)
-    left = [task for task in tasks if not done(task, before)]
-    found = in_parallel(work, left, workers)
-    for _, result in track(found, what, total=len(left)):
-        keep(out, result)
-    return entries(out) if out.exists() else []
-
-
-class Named(Protocol):
-    """A world with a name."""
-
-    @property
-    def name(self) -> str: ...
-
-
-def world_is_done(world: Named, results: list[dict[str, Any]]) -> bool:
-    """Return whether results name a world."""
-    return any(result["world"] == world.name for result in results)

@@ -76,16 +76,6 @@ def reporting(doc: str | None) -> argparse.ArgumentParser:
     return options
 
 
-def resumed(doc: str | None, out: str) -> argparse.ArgumentParser:
-    """Make the parser of a run that goes on from its file, and that adds up files of others."""
-    options = reporting(doc)
-    options.add_argument("--out", type=Path, default=Path(out))
-    options.add_argument(
-        "--add", type=Path, nargs="+", metavar="FILE", help="add up files of earlier runs, only"
-    )
-    return options
-
-
 def entries(*paths: Path) -> list[dict[str, Any]]:
     """Read the lines of JSON that runs have kept, in order."""
     return [json.loads(line) for path in paths for line in path.read_text("utf-8").splitlines()]

@@ -66,35 +66,6 @@ def test_shifted_scan_context_undoes_a_step_aside() -> None:
     np.testing.assert_allclose(best.T_map_query, views.poses[1] @ aside, atol=1e-6)
 
 
-def test_contours_are_cells_that_touch_in_a_slice() -> None:
-    """A bar of 6 by 2 m and 2.5 m height, turned by 30 degrees, and a post of 4.5 m."""
-    rng = np.random.default_rng(0)
-    turn = geometry.yaw_transform(np.radians(30.0), (12.0, -7.0, 0.0))
-    bar = geometry.transform(turn, rng.uniform((-3, -1, 2.4), (3, 1, 2.5), (4000, 3)))
-    post = rng.uniform((-22, 8, 0.0), (-18, 12, 4.5), (4000, 3))
-    ground = np.c_[rng.uniform(-5, 5, (500, 2)), np.zeros(500)]
-    points = np.concatenate([bar, post, ground]).astype(np.float32)
-    found = contour_context.contours(points, contour_context.Settings())
-    assert found.level.tolist() == [0, 0, 1, 1, 2, 3]
-    np.testing.assert_allclose(found.centre[[0, 1]], [(12, -7), (-20, 10)], atol=0.3)
-    assert found.axis[0] % np.pi == pytest.approx(np.radians(30.0), abs=0.1)
-    assert found.cells[[1, 4]].tolist() == [16, 16] and found.height[1] == pytest.approx(4.5, 0.05)
-
-
-def test_the_slope_of_a_correlation_is_its_derivative() -> None:
-    settings = contour_context.Settings(levels_m=(0.5, 1.5, 2.5))
-    here, there = (contour_context.contours(street(seed), settings) for seed in (1, 2))
-    pose = np.array([3.0, -2.0, 0.4])
-    value, slope = contour_context.correlated(here, there, (3.0, -2.0, 0.4))
-    for k in range(3):
-        step = np.eye(3)[k] * 1e-5
-        low, high = (
-            contour_context.correlated(here, there, tuple((pose + side).tolist()))[0]
-            for side in (-step, step)
-        )
-        assert slope[k] == pytest.approx((high - low) / 2e-5, rel=1e-4, abs=1e-6 * value)
-
-
 @pytest.mark.slow
 def test_contour_context_finds_places_that_are_revisited(tmp_path: Path) -> None:
     """Another drive, with cars and a tenth of the objects replaced, and a drive elsewhere."""

@@ -89,19 +89,6 @@ def test_results_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_wrong_sizes_are_refused() -> None:
-    ones = np.ones((4, 3), np.float32)
-    row = np.ones(3, np.float32)
-    with pytest.raises(ValueError, match="weight has the wrong size"):
-        _native.elu_norm(ones, True, row[:2], row, 1e-3, ones, ones, row, row)
-    x = np.ones((1, 1, 2, 2), np.float32)
-    with pytest.raises(ValueError, match="a source that does not exist"):
-        _native.xconv_apply(
-            x, x, np.ones((1, 3, 2), np.float32), np.array([[[0, 3]]]),
-            np.ones((1, 2, 4), np.float32), np.empty((1, 1, 1, 4), np.float32),
-        )  # fmt: skip
-
-
 def test_gather() -> None:
     values = torch.arange(24.0).view(2, 3, 4)
     index = torch.tensor([[[2, 0]], [[1, 1]]])

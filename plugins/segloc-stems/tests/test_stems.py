@@ -11,7 +11,7 @@ from samples import stems
 from scipy.spatial import cKDTree
 from segloc_lab.padding import mirrored
 from segloc_stems import LandmarkLocalizer, LandmarkMap, Landmarks, Stems, find_stems
-from segloc_stems.stems import Upright, fitted
+from segloc_stems.stems import Upright, fit_circles
 
 from segloc import Config, Localizer, Scan, build_map
 from segloc.localization import Reason
@@ -33,7 +33,7 @@ def stand() -> Landmarks:
 
 def compared(found: Stems, T: Pose, radius_m: float) -> tuple[Float64, Float64, float, float]:
     """Errors of position and diameter; the shares of true stems found, and of found ones true."""
-    columns, truth = found.moved(T), stand()
+    columns, truth = found.transform(T), stand()
     assert truth.diameters is not None
     distance, which = cKDTree(truth.positions[:, :2]).query(columns[:, :2])
     right = distance < 0.3
@@ -83,7 +83,7 @@ def test_circles_are_those_of_least_squares() -> None:
     turn, height = rng.uniform(-math.pi, math.pi, 650), np.tile([1.0, 2.0, 3.0], 217)[:650]
     ring = np.column_stack([np.cos(turn), np.sin(turn)]) * radii[which, None]
     level = centres[which] + ring + rng.normal(0, 0.005, (650, 2))
-    found = fitted(Upright(np.column_stack([level, height]), height, counts), False)
+    found = fit_circles(Upright(np.column_stack([level, height]), height, counts), False)
     for k in range(3):
         centre, radius = circle_by_hand(level[which == k])
         middle = found.feet[k, :2] + 2.0 * found.slopes[k]  # two metres above ground

@@ -15,7 +15,7 @@ import numpy as np
 from ..config import Config
 from ..descriptors import create
 from ..map.compact import CompactConfig, best_views
-from ..map.segment_map import SegmentMap, concatenated
+from ..map.segment_map import SegmentMap, concatenate_maps
 from ..map.voxel_cloud import VoxelCloud
 from ..proposals.coarse_vote import CoarseVoter
 from ..proposals.matching import Matcher
@@ -39,7 +39,7 @@ def lay_out(parts: list[SegmentMap], part_m: float) -> SegmentMap:
     side, spacing_m = _side(len(parts)), SPACING * part_m
     slots = [(k % side * spacing_m, k // side * spacing_m, 0.0) for k in range(len(parts))]
     moved = [_place(part, k, slot) for k, (part, slot) in enumerate(zip(parts, slots, strict=True))]
-    return concatenated(moved)
+    return concatenate_maps(moved)
 
 
 def _side(count: int) -> int:

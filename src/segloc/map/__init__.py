@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .config import DEFAULT_METHOD as DEFAULT_METHOD
     from .config import MappingConfig as MappingConfig
     from .from_cloud import ThinCloud as ThinCloud
-    from .segment_map import concatenated as concatenated
+    from .segment_map import concatenate_maps as concatenate_maps
     from .segment_map import with_sessions as with_sessions
     from .voxel_cloud import VoxelCloud as VoxelCloud
 else:
@@ -28,7 +28,7 @@ else:
             "compact": "CompactConfig compacted",
             "config": "DEFAULT_METHOD MappingConfig",
             "from_cloud": "ThinCloud",
-            "segment_map": "concatenated with_sessions",
+            "segment_map": "concatenate_maps with_sessions",
             "voxel_cloud": "VoxelCloud",
         },
     )

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ..system.section import Section
 from ..types import Float64, Int64
 from .coding import cells_and_parts, lattice_points, round_to_lattice, spread_exponents
-from .segment_map import SegmentMap, replaced
+from .segment_map import SegmentMap, with_parts
 
 CENTROID_EXPONENT, QUALITY_EXPONENT = -6, -6
 """Centroids are rounded to 1/64 m, qualities to 1/64."""
@@ -61,7 +61,7 @@ def compacted(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     segments = {name: array[_along_curve(kept)] for name, array in kept.columns().items()}
     exponents = spread_exponents(segments["vectors"], 1 << config.bits)
     segments["vectors"] = round_to_lattice(segments["vectors"], exponents).astype(np.float32)
-    return replaced(kept, segments=segments)
+    return with_parts(kept, segments=segments)
 
 
 def _on_lattices(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
@@ -78,7 +78,7 @@ def _on_lattices(prior_map: SegmentMap, config: CompactConfig) -> SegmentMap:
     origin, voxel = prior_map.origin, prior_map.cloud_voxel
     cells, parts = cells_and_parts(prior_map.cloud, origin, voxel, config.cloud_bits)
     points = lattice_points(cells, parts, origin, voxel, config.cloud_bits)
-    return replaced(prior_map, segments=segments, points=points, trajectory=path)
+    return with_parts(prior_map, segments=segments, points=points, trajectory=path)
 
 
 def best_views(prior_map: SegmentMap, config: CompactConfig) -> NDArray[np.bool_]:

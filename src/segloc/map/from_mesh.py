@@ -127,7 +127,7 @@ def build_from_mesh(
         if not 0 < metres <= most:
             raise ConfigError(f"{name} must be in 0..{most:g} m, not {metres}")
     tell = note or (lambda _: None)
-    local, origin = _checked(triangles, tell)
+    local, origin = _check(triangles, tell)
     mesh = PlanMesh.of(local, config.threads)
     floors = free_floors(mesh, sensor_height)
     if not floors:
@@ -164,7 +164,7 @@ def _finer(config: BuildConfig) -> BuildConfig:
     return config.model_copy(update={"mapping": mapping})
 
 
-def _checked(triangles: ArrayLike, tell: Note) -> tuple[Float32, Float64]:
+def _check(triangles: ArrayLike, tell: Note) -> tuple[Float32, Float64]:
     """Return the usable triangles about an origin, and that origin."""
     given = np.asarray(triangles)
     if given.ndim != 3 or given.shape[1:] != (3, 3) or given.dtype.kind != "f":

@@ -483,7 +483,7 @@ class SegmentMap:
         near_points = inside(self.cloud[:, :2] + self.origin[:2])
         path = self.trajectory[inside(self.trajectory[:, :2, 3])]
         segments = {name: array[near] for name, array in self.columns().items()}
-        return replaced(self, segments=segments, points=self.cloud[near_points], trajectory=path)
+        return with_parts(self, segments=segments, points=self.cloud[near_points], trajectory=path)
 
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
@@ -511,7 +511,7 @@ class SegmentMap:
         if stay.shape != (len(self),) or points.shape != (len(self._cloud),):
             raise SeglocError(f"masks of shapes {stay.shape} and {points.shape} do not match")
         segments = {name: array[stay] for name, array in segments.items()}
-        return replaced(self, segments=segments, points=self.cloud[points])
+        return with_parts(self, segments=segments, points=self.cloud[points])
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map from above: its points and the trajectory.
@@ -604,7 +604,7 @@ def _check(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: Any) -> 
     return np.array(array, dtype=dtype)
 
 
-def replaced(
+def with_parts(
     prior_map: SegmentMap,
     *,
     segments: Mapping[str, Array] | None = None,
@@ -625,15 +625,15 @@ def replaced(
 
 def along(prior_map: SegmentMap, path: Float64) -> SegmentMap:
     """Return the map with another trajectory of (V, 4, 4) poses."""
-    return replaced(prior_map, trajectory=path)
+    return with_parts(prior_map, trajectory=path)
 
 
 def with_sessions(prior_map: SegmentMap, session: Int32) -> SegmentMap:
     """Return the map with other session numbers, (P,)."""
-    return replaced(prior_map, segments={**prior_map.columns(), "session": session})
+    return with_parts(prior_map, segments={**prior_map.columns(), "session": session})
 
 
-def concatenated(parts: list[SegmentMap], *, apart: bool = False) -> SegmentMap:
+def concatenate_maps(parts: list[SegmentMap], *, apart: bool = False) -> SegmentMap:
     """Concatenate maps of one frame; rows in several maps are repeated.
 
     apart: True if no voxel is in two of them, as in parts of one map. Points of one origin are then

@@ -133,7 +133,7 @@ class Matcher:
         return found if self._rows is None else (self._rows[found[0]], found[1])
 
     @property
-    def indexed(self) -> bool:
+    def has_index(self) -> bool:
         """Whether the map has an approximate index."""
         return self._index.lists > 1
 
@@ -145,7 +145,7 @@ class Matcher:
             query.vectors, self._vectors, matches.query, matches.map, self._threads
         )
         keep = score >= self.config.min_probability
-        return _ordered(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
+        return _order(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
 
 
 class NeighbourSearch:
@@ -174,10 +174,10 @@ class NeighbourSearch:
         map_quality = self._matcher.map_quality
         if self._query.quality is not None and map_quality is not None:
             score *= self._query.quality[rows] * map_quality[columns]
-        return _ordered(rows, columns, distance, score)
+        return _order(rows, columns, distance, score)
 
     def _nearest(self, neighbours: int) -> Nearest:
-        if not self._matcher.indexed:
+        if not self._matcher.has_index:
             return self._matcher.nearest(self._query, neighbours)
         if self._found is None or self._found[0].shape[1] < neighbours:
             most = max(neighbours, self._matcher.schedule[-1])
@@ -194,6 +194,6 @@ def _index(prior_map: SegmentMap, lists: int, threads: int) -> _native.Descripto
     return _native.DescriptorIndex(coded.codes, *lattice, lists, threads)
 
 
-def _ordered(query: Int64, map_rows: Int64, distance: Float32, score: Float32) -> Matches:
+def _order(query: Int64, map_rows: Int64, distance: Float32, score: Float32) -> Matches:
     order = _native.order_matches(query, map_rows, score)
     return Matches(query[order], map_rows[order], distance[order], score[order])

@@ -135,9 +135,11 @@ class OccupancyProposer:
         near : Prior, optional
             Restricts the search.
         """
-        return self.found(view_of(scene, self.config, self._segmentation), near)
+        return self.propose_in_view(view_of(scene, self.config, self._segmentation), near)
 
-    def found(self, view: View, near: Prior | None = None, share: float = 1.0) -> list[Candidate]:
+    def propose_in_view(
+        self, view: View, near: Prior | None = None, share: float = 1.0
+    ) -> list[Candidate]:
         """Return the candidates of a view, with a share of the work."""
         self.prepare()
         origin = self._cloud.origin

@@ -93,8 +93,8 @@ class PoseEstimator:
         self._seed = seed
         self._find = {
             "consensus": self._consensus,
-            "prosac": self._sampled,
-            "ransac": self._sampled,
+            "prosac": self._sample,
+            "ransac": self._sample,
             "geometric_consistency": self._consistent,
         }[self.config.estimator]
 
@@ -149,7 +149,7 @@ class PoseEstimator:
         )
         return poses, inliers
 
-    def _sampled(
+    def _sample(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> tuple[Float64, Int64]:
         config = self.config

@@ -27,7 +27,7 @@ def lazy(
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         return getattr(importlib.import_module(homes[name]), name)
 
-    def listed() -> list[str]:
+    def list_names() -> list[str]:
         return sorted({*vars(sys.modules[module]), *homes})
 
-    return get, listed
+    return get, list_names

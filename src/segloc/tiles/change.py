@@ -17,7 +17,7 @@ from ..joining.shift import TO_THE_FRAME, Session, Shift, check_shift
 from ..joining.update import UpdateConfig, UpdateCounts, update_map
 from ..map.compact import compacted
 from ..map.config import BuildConfig
-from ..map.segment_map import SegmentMap, along, concatenated, with_sessions
+from ..map.segment_map import SegmentMap, along, concatenate_maps, with_sessions
 from ..types import Float64, Recording
 from .cut import (
     COARSE,
@@ -116,7 +116,7 @@ def update_tiles(
 
     own = config or map_config(TiledMap(where).coarse())
     reach_m = max(own.local_cloud.radius_m, settings.visibility.range_m)
-    return _changed(store_of(where), poses[:, :2, 3], reach_m, change, shift=shift), counts[0]
+    return _change(store_of(where), poses[:, :2, 3], reach_m, change, shift=shift), counts[0]
 
 
 def check_shift_in(
@@ -177,10 +177,10 @@ def merge_into_tiles(
     path = other.trajectory[:, :2, 3]
     points = other.cloud[:, :2] + other.origin[:2]
     places = np.concatenate([path, other.centroids[:, :2], points])
-    return _changed(store_of(where), places, 0.0, change, path, shift)
+    return _change(store_of(where), places, 0.0, change, path, shift)
 
 
-def _changed(
+def _change(
     store: Store,
     places: Float64,
     reach_m: float,
@@ -194,13 +194,13 @@ def _changed(
         index, size_m = tiles.index, tiles.index.size_m
         have = {tile.cell: tile for tile in index.tiles}
         new = set(squares_of(places if path is None else path, size_m))
-        near = _reached(places, reach_m + index.margin_m, size_m)
+        near = _cells_near(places, reach_m + index.margin_m, size_m)
         cells = sorted(new | (near & have.keys()))
         support = [have[cell] for cell in sorted(_around(cells, index) & have.keys())]
         if not support:
             raise MapMismatch(f"{store.where}: no tile is near: merge the untiled maps, then cut")
         before = tiles.together(support)
-        after = _numbered(change(before), before, tiles.coarse())
+        after = _number_sessions(change(before), before, tiles.coarse())
         parts = {cell: part_of(after, cell, size_m, index.margin_m) for cell in cells}
         made = [write_square(store, parts[cell], cell, size_m) for cell in cells]
         kept = [tile for cell, tile in have.items() if cell not in parts]
@@ -212,7 +212,7 @@ def _changed(
     return Changed(found, len(support), sum(tile.file not in same for tile in made), shift)
 
 
-def _reached(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
+def _cells_near(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
     """Return the squares within reach of places, by the bounding boxes of occupied squares."""
     cells, square = np.unique(cells_of(places, size_m), axis=0, return_inverse=True)
     low, high = np.full((len(cells), 2), np.inf), np.full((len(cells), 2), -np.inf)
@@ -235,7 +235,7 @@ def _around(cells: list[Cell], index: TileIndex) -> set[Cell]:
     return {(i + di, j + dj) for i, j in cells for di in steps for dj in steps}
 
 
-def _numbered(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> SegmentMap:
+def _number_sessions(after: SegmentMap, before: SegmentMap, coarse: SegmentMap) -> SegmentMap:
     """Return the map with new sessions renumbered to be unique over all tiles."""
     new = np.setdiff1d(after.session, before.session)
     if not len(new):
@@ -259,4 +259,4 @@ def _coarse(tiles: TiledMap, after: SegmentMap, cells: list[Cell]) -> SegmentMap
     owned = [part_of(after, cell, size_m, 0.0) for cell in cells]
     rest = along(old.kept(rows, np.zeros(len(old.cloud), dtype=bool)), path[stays])
     thin = [along(thin_of(part, size_m), part.trajectory) for part in owned]
-    return compacted(concatenated([rest, *thin]), COARSE)
+    return compacted(concatenate_maps([rest, *thin]), COARSE)

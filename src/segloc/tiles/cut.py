@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
-from ..map.segment_map import SegmentMap, along, concatenated, replaced
+from ..map.segment_map import SegmentMap, along, concatenate_maps, with_parts
 from ..system.processes import all_of
 from ..types import Bools, Float32, Float64
 from .index import (
@@ -93,7 +93,7 @@ def cut_tiles(
                 progress(len(found), len(cells))
         found.sort(key=lambda made: made[0].cell)
         tiles, thin = [tile for tile, _ in found], [part for _, part in found]
-        joined = along(concatenated(thin), prior_map.trajectory)
+        joined = along(concatenate_maps(thin), prior_map.trajectory)
         coarse = write_tile(store, compacted(joined, COARSE), "coarse")
         index = TileIndex(
             version=FORMAT_VERSION,
@@ -136,9 +136,9 @@ def publish(store: Store, index: TileIndex) -> None:
 
     Files of the previous index are kept, since readers may still use it.
     """
-    named = set(_named(index))
+    named = set(_file_names(index))
     with suppress(OSError, MapFormatError):
-        named.update(_named(TileIndex.parse(store.read(INDEX, MAX_INDEX_BYTES), store.where)))
+        named.update(_file_names(TileIndex.parse(store.read(INDEX, MAX_INDEX_BYTES), store.where)))
     store.write(INDEX, index.model_dump_json(indent=1).encode())
     for name in store.names():
         ours = name.endswith(".segmap") and name.startswith(("tile_", "coarse-"))
@@ -146,7 +146,7 @@ def publish(store: Store, index: TileIndex) -> None:
             store.remove(name)
 
 
-def _named(index: TileIndex) -> list[str]:
+def _file_names(index: TileIndex) -> list[str]:
     return [index.coarse.file, *(tile.file for tile in index.tiles)]
 
 
@@ -165,7 +165,7 @@ def part_where(
 ) -> SegmentMap:
     """Return the part of a map at the chosen ones of (N, 2 or 3) positions; perhaps no cloud."""
     path, rows = prior_map.trajectory, chosen(prior_map.centroids)
-    return replaced(
+    return with_parts(
         prior_map,
         segments={name: array[rows] for name, array in prior_map.columns().items()},
         points=_points_at(prior_map, chosen) if cloud else np.empty((0, 3), np.float32),
@@ -206,7 +206,7 @@ def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
 def thin_of(part: SegmentMap, size_m: float) -> SegmentMap:
     """Return a tile's best view of each object, up to a number, without the cloud."""
     most = max(COARSE_AT_LEAST, round(COARSE_A_KM2 * (size_m / 1e3) ** 2))
-    thin = compacted(replaced(part, points=part.cloud[:0]), COARSE)
+    thin = compacted(with_parts(part, points=part.cloud[:0]), COARSE)
     if len(thin) <= most:
         return thin
     rank = thin.sizes if thin.quality is None else thin.quality

@@ -182,7 +182,7 @@ class TiledLocalizer(Localizer):
         self, query: Query, found: list[Candidate], near: Prior | None, times: StageTimes
     ) -> Iterator[tuple[Tile, ...]]:
         """Yield tiles in which segments agree on poses: by votes, then by all segments."""
-        voted = self._voted(found)
+        voted = self._votes(found)
         best = max(voted.values(), default=0)
         strong = [
             tile
@@ -211,7 +211,7 @@ class TiledLocalizer(Localizer):
             if not self.likelihood.segments_suffice(best, count)
         )
 
-    def _voted(self, found: list[Candidate]) -> dict[Tile, int]:
+    def _votes(self, found: list[Candidate]) -> dict[Tile, int]:
         """Return the tiles of the poses with most votes in the thin map, best first."""
         if not found:
             return {}
@@ -239,7 +239,7 @@ class TiledLocalizer(Localizer):
         chosen = sorted(tiles, key=lambda tile: tile.cell)
         key = (self._settings, *(tile.file for tile in chosen))
 
-        def made() -> Localizer:
+        def build() -> Localizer:
             with times("tiles"):
                 part, config = self.tiles.together(chosen, cloud_later=True), self.config
                 occupancy = TiledOccupancy(self._pieces, chosen)
@@ -252,7 +252,7 @@ class TiledLocalizer(Localizer):
                     clock=self.clock,
                 )
 
-        return self.tiles.recent.get(key, made, _bytes)
+        return self.tiles.recent.get(key, build, _bytes)
 
     def _nowhere(self, matches: Matches, found: list[Candidate], near: Prior | None) -> Search:
         """Return the result if no tile has enough votes."""

@@ -63,7 +63,7 @@ class Pieces:
         def make(part: SegmentMap) -> MapCloud:
             return likelihood_of(part, self.config).cloud
 
-        return self._kept(tile, make, lambda part, _: _POINT_BYTES * len(part.voxel_cloud))
+        return self._recent(tile, make, lambda part, _: _POINT_BYTES * len(part.voxel_cloud))
 
     def occupancy(self, tile: Tile) -> OccupancyProposer:
         """Return the search by occupancy of the positions that are not in other tiles."""
@@ -80,7 +80,7 @@ class Pieces:
             proposer.prepare()
             return proposer
 
-        return self._kept(tile, make, lambda _, proposer: proposer.nbytes)
+        return self._recent(tile, make, lambda _, proposer: proposer.nbytes)
 
     def matcher(self, tile: Tile) -> Matcher:
         """Return the matcher of a tile."""
@@ -89,9 +89,9 @@ class Pieces:
             config = self.config
             return Matcher(part, config.matching, pruner=self._pruner, threads=config.threads)
 
-        return self._kept(tile, make, lambda part, _: SEGMENT_BYTES * len(part))
+        return self._recent(tile, make, lambda part, _: SEGMENT_BYTES * len(part))
 
-    def _kept(
+    def _recent(
         self,
         tile: Tile,
         make: Callable[[SegmentMap], Piece],
@@ -100,12 +100,12 @@ class Pieces:
         """Return a piece of a tile from memory, or make it of the tile's map."""
         key = make.__qualname__, self._settings, tile.file
 
-        def made() -> tuple[Piece, int]:
+        def build() -> tuple[Piece, int]:
             part = self._tiles.tile(tile)
             piece = make(part)
             return piece, size(part, piece)
 
-        return self._tiles.recent.get(key, made, lambda pair: pair[1])[0]
+        return self._tiles.recent.get(key, build, lambda pair: pair[1])[0]
 
 
 class TiledQuery(QueryCloud):
@@ -219,7 +219,7 @@ class TiledOccupancy:
         windows = max(1, sum(part.windows for _, part in parts))
         found, most = list[Candidate](), 0
         for tile, part in parts:  # by its share of windows: as many columns of the query in each
-            fresh = part.found(view, prior, part.windows / windows)
+            fresh = part.propose_in_view(view, prior, part.windows / windows)
             most = max(most, len(fresh))
             if fresh:
                 positions = np.stack([c.T_map_local[:3, 3] for c in fresh])

@@ -99,7 +99,7 @@ class Remote:
         with suppress(NotImplementedError):
             self._files.makedirs(self._root, exist_ok=True)
         ends = time.monotonic() + WAIT_S
-        while not self._leased(path, mine):
+        while not self._lease(path, mine):
             if time.monotonic() > ends:
                 raise SeglocError(
                     f"{self.where}: locked by another writer for {WAIT_S:g} s: wait for it, or "
@@ -113,7 +113,7 @@ class Remote:
                 if self._files.cat_file(path) == mine.encode():
                     self._files.rm_file(path)
 
-    def _leased(self, path: str, mine: str) -> bool:
+    def _lease(self, path: str, mine: str) -> bool:
         try:
             self._files.pipe_file(path, mine.encode(), mode="create")
         except FileExistsError:
@@ -193,16 +193,16 @@ class Reader:
                 if digest_of(data) == tile.digest:
                     os.utime(copy)
                     return data
-        data = self._checked(tile)
+        data = self._read_checked(tile)
         if copy is not None:
             self._keep(copy, data)
         return data
 
-    def _checked(self, tile: TileFile) -> bytes:
+    def _read_checked(self, tile: TileFile) -> bytes:
         """Read a tile from the store, with one retry if it is incomplete."""
         for last in (False, True):
             try:
-                data = self.fetched(tile.file, tile.bytes)
+                data = self.fetch(tile.file, tile.bytes)
             except MapFormatError as error:
                 if last or isinstance(error.__cause__, (TimeoutError, FileNotFoundError)):
                     raise
@@ -213,7 +213,7 @@ class Reader:
             f"{self._store.where}/{tile.file}: damaged: it does not match the index"
         )
 
-    def fetched(self, name: str, most: int) -> bytes:
+    def fetch(self, name: str, most: int) -> bytes:
         """Read a file of at most ``most`` bytes from the store.
 
         Raises

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from ..errors import MapFormatError, MapMismatch
 from ..map.coding import Stored
-from ..map.segment_map import SegmentMap, concatenated, replaced
+from ..map.segment_map import SegmentMap, concatenate_maps, with_parts
 from ..types import Float32
 from .cut import owned_rows, part_where
 from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
@@ -72,7 +72,7 @@ class TiledMap:
         copies = None if isinstance(store, Folder) else Path(cache or _users_cache(store.where))
         self.where = store.where
         self._reader = Reader(store, copies, cache_bytes, timeout_s)
-        index = self._reader.fetched(INDEX, MAX_INDEX_BYTES)
+        index = self._reader.fetch(INDEX, MAX_INDEX_BYTES)
         self.index = TileIndex.parse(index, f"{store.where}/{INDEX}")
         self.recent = Recent(memory_bytes)
         self._reopen = partial(
@@ -96,7 +96,7 @@ class TiledMap:
 
     def coarse(self) -> SegmentMap:
         """Return the thin map of all tiles, with the whole trajectory and no cloud."""
-        return self._loaded(self.index.coarse)
+        return self._load(self.index.coarse)
 
     def tile(self, tile: Tile) -> SegmentMap:
         """Return one tile.
@@ -106,7 +106,7 @@ class TiledMap:
         MapFormatError
             If it is missing, damaged, or takes too long; names its file.
         """
-        return self.recent.get(tile.file, lambda: self._loaded(tile), lambda m: m.memory_bytes)
+        return self.recent.get(tile.file, lambda: self._load(tile), lambda m: m.memory_bytes)
 
     def together(self, tiles: Sequence[Tile], *, cloud_later: bool = False) -> SegmentMap:
         """Return some tiles as one map, without repetitions.
@@ -125,15 +125,15 @@ class TiledMap:
             others = [other for other in tiles if other.cell != tile.cell]
             owned = partial(owned_rows, tile=tile, others=others, index=self.index)
             parts.append(part_where(self.tile(tile), owned, cloud=not cloud_later))
-        joined = concatenated(parts, apart=True)
+        joined = concatenate_maps(parts, apart=True)
         if cloud_later:
-            return replaced(joined, points=_Later(partial(self._cloud_of, tiles)))
+            return with_parts(joined, points=_Later(partial(self._cloud_of, tiles)))
         return joined
 
     def _cloud_of(self, tiles: Sequence[Tile]) -> Float32:
         return self.together(tiles).cloud
 
-    def _loaded(self, file: TileFile) -> SegmentMap:
+    def _load(self, file: TileFile) -> SegmentMap:
         data = self._reader.tile(file)
         where = f"{self.where}/{file.file}"
         with TemporaryDirectory() as folder:

@@ -70,19 +70,6 @@ def test_a_recording_is_followed_whatever_frame_its_odometry_is_in(
 
 
 @pytest.mark.slow
-def test_the_same_recording_gives_the_same_bytes(place: Path, tmp_path: Path) -> None:
-    def without_times(out: Path) -> list[dict[str, Any]]:
-        lines = (out / "states.jsonl").read_text().splitlines()
-        return [{**json.loads(line), "latency_ms": None} for line in lines]
-
-    for name, threads in (("a", 1), ("b", 2)):
-        more = ["--poses", place / "odometry.tum", "--threads", threads]
-        followed(place, tmp_path / name, *more)
-    assert without_times(tmp_path / "a") == without_times(tmp_path / "b")
-    assert (tmp_path / "a/poses.tum").read_bytes() == (tmp_path / "b/poses.tum").read_bytes()
-
-
-@pytest.mark.slow
 def test_in_real_time_it_is_the_code_of_a_robot(place: Path, tmp_path: Path) -> None:
     facts = followed(place, tmp_path / "out", "--poses", place / "odometry.tum", "--rate", 10)
     assert facts["scans"] + facts["dropped"] == SCANS and facts["scans"] > 0

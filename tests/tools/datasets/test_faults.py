@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.datasets import START, Drive, float_rows, kitti, ones
+from samples.datasets import START, Drive, bag_writer, float_rows, kitti, ones
 from samples.plaza import Plaza
 from samples.real import real
 from samples.walk import run
@@ -56,10 +56,7 @@ def kitti_sequence(root: Path, clouds: list[Float64], poses: Float64) -> Path:
 
 
 def bag(root: Path, clouds: list[Float64], poses: Float64) -> Path:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    writer = BagWriter("sqlite3")
+    writer = bag_writer("sqlite3")
     for i, (cloud, pose) in enumerate(zip(clouds, poses, strict=True)):
         writer.cloud("/points", START + 0.1 * i, cloud)
         writer.odometry("/odom", START + 0.1 * i, pose, "lidar")
@@ -82,10 +79,7 @@ def problems(path: Path, sample: int = 20) -> str:
 @pytest.mark.parametrize(("lost_s", "gaps"), [(0.0, 0), (9.0, 1)])
 def test_poses_that_come_seldom_are_no_gaps(lost_s: float, gaps: int, tmp_path: Path) -> None:
     """Those of key frames are seconds apart; one of them that is much longer is named."""
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    writer = BagWriter("mcap")
+    writer = bag_writer("mcap")
     for i, pose in enumerate(DRIVE.poses):
         stamp = START + 1.5 * i + (lost_s if i > 7 else 0.0)
         writer.cloud("/points", stamp, seen(VLP16))

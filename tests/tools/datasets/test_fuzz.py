@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from samples.datasets import Drive, kitti, mulran, nclt
+from samples.datasets import Drive, bag_writer, kitti, mulran, nclt
 from samples.robotcar import write_ins, write_sweep
 
 from segloc.errors import SeglocError
@@ -37,10 +37,7 @@ def robotcar(root: Path, drive: Drive) -> Path:
 
 
 def bag(kind: str, root: Path, drive: Drive) -> Path:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    writer = BagWriter(kind)
+    writer = bag_writer(kind)
     for i, stamp in enumerate(drive.stamps):
         times = ("t", "u4", np.arange(40.0))
         writer.cloud("/points", stamp, drive.seen(i), times=times)

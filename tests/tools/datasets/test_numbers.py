@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.datasets import START, Drive
+from samples.datasets import START, Drive, bag_writer
 
 from segloc.errors import DatasetError
 from segloc.tools.datasets import open_sequence
@@ -185,10 +185,7 @@ def test_the_unit_of_point_times(name: str) -> None:
 def test_bags_are_deskewed_whatever_the_unit(
     field: tuple[str, str], scale: float, expected: str, tmp_path: Path
 ) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    drive, writer = Drive.make(COUNT), bag_writer("sqlite3")
     for i, stamp in enumerate(drive.stamps):
         spread = np.linspace(0.0, 0.1, len(drive.seen(i)))
         times = stamp + spread if scale < 0 else scale * spread
@@ -213,10 +210,7 @@ FIELDS = {
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_bags_and_files_know_the_same_time_fields(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    drive, writer = Drive.make(COUNT), bag_writer("sqlite3")
     (tmp_path / "scans").mkdir()
     for i, stamp in enumerate(drive.stamps):
         points = drive.seen(i)
@@ -241,10 +235,7 @@ def test_bags_and_files_know_the_same_time_fields(name: str, tmp_path: Path) -> 
 
 
 def test_a_field_that_looks_like_times_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    drive, writer = Drive.make(COUNT), bag_writer("sqlite3")
     for i, stamp in enumerate(drive.stamps):
         points = drive.seen(i)
         writer.cloud("/points", stamp, points, times=("firing_time", "f4", points[:, 0]))
@@ -299,11 +290,8 @@ def test_times_that_wrap_round_are_not_used() -> None:
 
 
 def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
     drive, T = Drive.make(COUNT), np.eye(4)
-    writer = BagWriter("sqlite3")
+    writer = bag_writer("sqlite3")
     for i, stamp in enumerate(drive.stamps):
         writer.cloud("/points", stamp, drive.seen(i))
         writer.odometry("/odom", stamp, drive.poses[i], "base")
@@ -336,10 +324,7 @@ def test_bad_poses_of_a_bag_are_left_out_and_counted(tmp_path: Path) -> None:
 
 
 def test_a_bag_is_read_without_poses_that_are_of_no_use(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    drive, writer = Drive.make(COUNT), BagWriter("sqlite3")
+    drive, writer = Drive.make(COUNT), bag_writer("sqlite3")
     torn = drive.poses.copy()
     torn[3, :3, 3] = [5e6, 0.0, 0.0]
     for i, stamp in enumerate(drive.stamps):

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from samples.datasets import Drive
 from samples.real import real
 
 LIMIT_S = 10
@@ -125,43 +124,3 @@ def test_the_installed_command_ends_where_there_are_two_topics(words: list[str])
     )
     assert done.returncode == 1
     assert re.fullmatch(r"segloc: .*/a/points \(2\), /b/points \(2\)\n", done.stderr)
-
-
-def test_bags_that_cannot_be_used_end_every_verb_in_one_line(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    from samples.bags import BagWriter
-
-    drive = Drive.make(3)
-
-    def bag(name: str, topics: tuple[str, ...], kind: str = "mcap", frames: int = 1) -> Path:
-        writer = BagWriter(kind)
-        for i, stamp in enumerate(drive.stamps):
-            for topic in topics:
-                frame = f"lidar_{i % frames}"
-                writer.cloud(topic, stamp, drive.seen(i), frame)
-            writer.odometry("/odom", stamp, drive.poses[i], "lidar_0")
-        return writer.write(tmp_path / name)
-
-    healthy = bag("healthy", ("/points",))
-    whole = (healthy / "healthy.mcap").read_bytes()
-    files = {
-        "cut.mcap": (whole[: len(whole) // 2], "mcap recover"),
-        "empty.db3": (b"", "empty file"),
-        "foreign.mcap": (b"PK\3\4" + whole, "not a mcap file"),
-    }
-    for name, (data, _) in files.items():
-        (tmp_path / name).write_bytes(data)
-    cases = [(tmp_path / name, [], text) for name, (_, text) in files.items()]
-    cases += [
-        (bag("two", ("/a", "/b")), [], r"--topic: /a \(3\), /b \(3\)"),
-        (bag("two_ros1", ("/a", "/b"), "ros1"), [], r"--topic: /a \(3\), /b \(3\)"),
-        (bag("none", ()), [], "no topic of scans; topics: /odom"),
-        (bag("frames", ("/a",), "sqlite3", 2), [], "two sensors on one topic"),
-        (healthy, ["--topic", "/other"], r"'/other'.*/points \(3\)"),
-    ]
-    verbs = [["doctor"], ["info"], ["map", "build", "--out", str(tmp_path / "out.segmap")]]
-    lines = [[*verb, str(path), *more] for path, more, _ in cases for verb in verbs]
-    texts = [text for _, _, text in cases for _ in verbs]
-    for line, text, (code, _, err) in zip(lines, texts, run_verbs(lines), strict=True):
-        assert code == 1, (line, code, err)
-        assert re.fullmatch(rf"segloc: error: .*{text}.*\n", err), (line, err)

@@ -1,4 +1,4 @@
-"""Finished clouds of every format, and of the layouts that mapping software writes."""
+"""Finished clouds of every format; tests/docs/test_coming_from.py has the layouts of software."""
 
 from __future__ import annotations
 
@@ -88,56 +88,3 @@ def test_files_of_several_folders_are_placed_by_their_poses(
     assert np.abs(np.concatenate(list(read_cloud(given, poses=poses))) - points).max() < 1e-4
     with pytest.raises(DatasetError, match="5 poses for 6 files"):
         next(read_cloud(given, poses=poses[:5]))
-
-
-def test_tiles_of_autoware(tmp_path: Path, points: Float64) -> None:
-    folder = tmp_path / "map" / "pointcloud_map.pcd"
-    folder.mkdir(parents=True)
-    left = points[:, 0] < 0
-    for k, part in enumerate((points[left], points[~left])):
-        (folder / f"{20 * k}_0.pcd").write_bytes(pcd(rows(part, size=4), "binary"))
-    (tmp_path / "map" / "pointcloud_map_metadata.yaml").write_text("x_resolution: 20\n")
-    for where in (folder, tmp_path / "map"):
-        assert len(read(where)) == len(points)
-
-
-def test_a_dump_of_glim(tmp_path: Path, points: Float64) -> None:
-    T = geometry.yaw_transform(0.4, (5.0, 2.0, 1.0))
-    folder = tmp_path / "dump" / "000000"
-    folder.mkdir(parents=True)
-    inside = geometry.transform(geometry.inverse(T), points)
-    inside.astype("<f4").tofile(folder / "points_compact.bin")
-    inside.astype("<f4").tofile(folder / "covs_compact.bin")
-    matrix = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in T)
-    (folder / "data.txt").write_text(f"id: 0\nT_world_origin: \n{matrix}\nnum_frames: 1\n")
-    assert np.abs(read(tmp_path / "dump") - points).max() < 1e-4
-
-
-def test_results_of_kiss_slam(tmp_path: Path, points: Float64) -> None:
-    folder = tmp_path / "latest" / "local_maps" / "plys"
-    folder.mkdir(parents=True)
-    for k, part in enumerate(np.array_split(points, 2)):
-        write_scan(folder / f"{k:06d}.ply", part)
-    (folder.parent / "local_map_graph.g2o").write_text("FIX 0\n")
-    (tmp_path / "latest" / "poses_kitti.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
-    assert len(read(tmp_path / "latest")) == len(points)
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "message"),
-    [
-        ("a.pcd", b"VERSION 0.7\n", "not a PCD file"),
-        ("b.pcd", pcd(rows(np.ones((50, 3))), "binary")[:-9], "promises 50 points"),
-        ("a.ply", b"ply\n", "header"),
-        ("a.xyz", b"1 2 3\n4 five 6\n", "cannot parse"),
-        ("c.pcd", pcd(rows(np.ones((50, 3))), "ascii")[:-40], "promises 50 points"),
-        ("a.laz", b"LASF" + bytes(300), "not a LAS file"),
-        ("a.doc", b"text", "not a point cloud"),
-    ],
-)
-def test_damage_is_one_error(tmp_path: Path, name: str, data: bytes, message: str) -> None:
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(DatasetError, match=message) as found:
-        read(tmp_path / name)
-    assert name in str(found.value)
-    assert "\n" not in str(found.value)

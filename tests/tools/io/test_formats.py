@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from samples import io as io_samples
 from samples.io import cloud
 
-from segloc.errors import DatasetError, InvalidScan, MissingDependency, SeglocError
+from segloc.errors import DatasetError, InvalidScan, SeglocError
 from segloc.tools.io import read_scan, write_scan
 from segloc.tools.io.kitti_bin import parse_kitti
 from segloc.tools.io.pcd import parse_pcd
@@ -208,13 +207,6 @@ def test_an_empty_bin_is_an_empty_scan_and_nuscenes_has_five_columns(tmp_path: P
     rows = np.arange(20, dtype="<f4").reshape(4, 5)
     (tmp_path / "A.PCD.BIN").write_bytes(rows.tobytes())
     np.testing.assert_array_equal(read_scan(tmp_path / "A.PCD.BIN").points, rows[:, :3])
-
-
-def test_missing_laspy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_scan(tmp_path / "a.laz", cloud())
-    monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingDependency, match=r"pip install 'laspy\[lazrs\]"):
-        read_scan(tmp_path / "a.laz")
 
 
 @pytest.mark.parametrize("unit", [1e9, 1e30])

@@ -18,8 +18,8 @@ import numpy as np
 
 from segloc import Config, Localizer
 
-from ..parallel import kept_results, world_is_done
-from ..report import Cell, Table, entries, publish, reporting, wilson
+from ..report import Cell, Table, entries, publish, wilson
+from ..runner import Runner
 from .rows import BARE, HOME, World, errors, is_right, worlds_of
 
 Answers = list[dict[str, Any]]
@@ -124,19 +124,17 @@ def _summed(answers: Answers) -> Iterator[Cell]:
 
 
 def main() -> None:
-    options = reporting(__doc__)
-    options.add_argument("worlds", type=Path, help="folder of generated worlds")
-    options.add_argument("--out", type=Path, default=Path("posterior.jsonl"))
-    options.add_argument("--beside", type=Path, nargs="+", default=[], help="answers of others")
-    options.add_argument("--quiet", action="store_true", help="keep the answers, show no table")
-    options.add_argument("--every", type=int, default=1, help="take each Nth world")
-    options.add_argument("--first", type=int, default=0, help="number of the first world taken")
-    options.add_argument("--workers", type=int, default=1, help="processes")
-    args = options.parse_args()
-    config = Config(threads=1)
+    runner = Runner(__doc__, "posterior.jsonl", parallel=True)
+    add = runner.options.add_argument
+    add("worlds", type=Path, help="folder of generated worlds")
+    add("--beside", type=Path, nargs="+", default=[], help="answers of others")
+    add("--quiet", action="store_true", help="keep the answers, show no table")
+    add("--every", type=int, default=1, help="take each Nth world")
+    add("--first", type=int, default=0, help="number of the first world taken")
+    args = runner.parse()
+    work = partial(answers_in, config=Config(threads=1))
     chosen = worlds_of(args.worlds)[args.first :: args.every]
-    work = partial(answers_in, config=config)
-    kept_results(args.out, work, chosen, world_is_done, workers=args.workers, what="worlds")
+    runner.run(work, chosen, ("world",), lambda world: [world.name])
     if not args.quiet:
         every = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
         whole = {name: [a for a in run if a["made"] in WHOLE] for name, run in every.items()}

@@ -155,7 +155,7 @@ def outcomes(seed: int, queries: int) -> Iterator[tuple[tuple[float, ...], bool]
             radius, keep, noise, invented = rng.uniform([8, 0.2, 0.05, 0.0], [28, 1.0, 0.15, 0.4])
             query = Detector(radius, keep, noise, invented).seen(stems, T, rng)
             T_local_sensor = levelling(query.directions)
-            search, _ = localizers[i % 4].search(query.moved(T_local_sensor))
+            search, _ = localizers[i % 4].search(query.transform(T_local_sensor))
             for place in search.posterior.places[:1]:
                 T_found = place.T_map_local @ T_local_sensor
                 metres, degrees = pose_error(T_found, T)

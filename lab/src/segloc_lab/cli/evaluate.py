@@ -19,6 +19,7 @@ from segloc.tools.cli.verbs import group
 
 from .evaluate_failures import failures
 from .evaluate_peers import peers
+from .names import split_names
 
 if TYPE_CHECKING:
     from ..evaluation.scenario import PairScenario
@@ -81,16 +82,6 @@ app = group(
 
 def _lying_in(folder: Path, name: Path) -> Path | None:
     return folder / name if (folder / name).is_file() else None
-
-
-def chosen(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
-    """Split a list of names separated by commas."""
-    if given is None:
-        return None
-    names = tuple(name.strip() for name in given.split(","))
-    if not all(names):
-        raise ConfigError(f"{option} {given!r}: empty name")
-    return names
 
 
 def command_line() -> str:
@@ -167,7 +158,7 @@ def _measured(
         raise ConfigError("no recording: pass --kitti DATA")
     if not (kitti / "keyframes").is_dir():
         raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
-    selection = ready(chosen(methods))
+    selection = ready(split_names(methods))
     if selection.left_out:
         note(selection.note())
     return answers_of(selection.names, kitti, folder, say, verify, workers, draws or DRAWS)
@@ -262,7 +253,7 @@ def localization(
     if mapped is None:
         given = (out, suite, scale, kitti, methods, seed, threads, workers)
         with _workspace(*given, cluster) as workspace:
-            only = None if sets is None else chosen(sets, "--sets")
+            only = None if sets is None else split_names(sets, "--sets")
             _run("localization", replace(workspace, only=only), report)
         return
     if query is None:
@@ -296,7 +287,7 @@ def _compare(
     from ..evaluation.workspace import Workspace
 
     check_folder(out)
-    means = (0, threads, workers, chosen(methods), progress, note, command_line())
+    means = (0, threads, workers, split_names(methods), progress, note, command_line())
     with executing(1, cluster) as executor:
         workspace = Workspace(out, *means, executor)
         study = compare(workspace, [scenario], "own", "Localization of your own recordings")
@@ -322,7 +313,7 @@ def _workspace(
     from ..studies.paper.workspace import Workspace
 
     check_folder(out)
-    means = (seed, threads, workers, chosen(methods), progress, note, command_line())
+    means = (seed, threads, workers, split_names(methods), progress, note, command_line())
     with executing(1, cluster) as executor:
         yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
 

@@ -9,6 +9,8 @@ import typer
 
 from segloc.tools.cli.console import say
 
+from .names import split_names
+
 
 def peers(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of sets and answers.")],
@@ -60,12 +62,11 @@ def peers(
     from ..peers.sets import SETS
     from ..peers.study import PEERS, Job, checked, interpreters
     from ..report import publish, require_new
-    from .evaluate import chosen
 
     require_new(report)
     check_folder(out)
-    names = chosen(sets, "--sets") or [n for n, s in SETS.items() if data or not s.needs]
-    systems = chosen(peers, "--peers") or tuple(PEERS)
+    names = split_names(sets, "--sets") or [n for n, s in SETS.items() if data or not s.needs]
+    systems = split_names(peers, "--peers") or tuple(PEERS)
     job = Job(
         out,
         data,

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,8 @@ from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
 from ..evaluation.scenario import QuerySet
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
-from ..report import Cell, Table, earlier, entries, keep, mcnemar, publish, resumed, share
+from ..report import Cell, Table, keep, mcnemar, publish, share
+from ..runner import Runner
 from ..simulation import (
     SCENES,
     SENSORS,
@@ -182,30 +183,8 @@ def mapped(
     return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
-def arguments() -> argparse.Namespace:
-    """Parse the command line."""
-    options = resumed(__doc__, "change.jsonl")
-    options.add_argument("--methods", nargs="+", default=["profile"])
-    options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
-    options.add_argument("--seed", type=int, default=9000)
-    options.add_argument("--foliage", type=float, default=0.3)
-    options.add_argument("--replaced", type=float, default=0.2)
-    options.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
-    options.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
-    options.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
-    options.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="of the queries")
-    options.add_argument("--beams", type=int, help="of that sensor; by default all")
-    options.add_argument("--columns", type=int, default=COLUMNS, help="a turn of that sensor")
-    options.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
-    options.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
-    options.add_argument("--others", type=int, default=2, help="worlds that pad a map")
-    options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
-    return options.parse_args()
-
-
-def measure(args: argparse.Namespace) -> None:
-    """Query all worlds, and store the results of each."""
-    done = {_set_of(entry) for entry in earlier(args.out)}
+def measure(args: argparse.Namespace, done: Collection[tuple[str, ...]]) -> None:
+    """Query all worlds, and store the results of each that is not done."""
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
     sensor = sensor_of(args.sensor, args.columns, args.beams)
@@ -235,10 +214,27 @@ def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def main() -> None:
-    args = arguments()
+    runner = Runner(__doc__, "change.jsonl")
+    options = runner.options
+    options.add_argument("--methods", nargs="+", default=["profile"])
+    options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
+    options.add_argument("--seed", type=int, default=9000)
+    options.add_argument("--foliage", type=float, default=0.3)
+    options.add_argument("--replaced", type=float, default=0.2)
+    options.add_argument("--every", type=int, default=1, help="scans, 2 m apart, between queries")
+    options.add_argument("--accumulated-every", type=float, default=4.0, metavar="METRES")
+    options.add_argument("--clouds", nargs="+", default=list(CLOUDS), choices=CLOUDS)
+    options.add_argument("--sensor", default="hdl64e", choices=SPINNING, help="of the queries")
+    options.add_argument("--beams", type=int, help="of that sensor; by default all")
+    options.add_argument("--columns", type=int, default=COLUMNS, help="a turn of that sensor")
+    options.add_argument("--map-sensor", default="hdl64e", choices=SPINNING)
+    options.add_argument("--pad", type=int, default=0, metavar="SEGMENTS", help="size of the maps")
+    options.add_argument("--others", type=int, default=2, help="worlds that pad a map")
+    options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
+    args = runner.parse()
     if not args.add:
-        measure(args)
-    report(entries(*(args.add or [args.out])), args.report)
+        measure(args, {_set_of(entry) for entry in runner.results()})
+    report(runner.results(), args.report)
 
 
 if __name__ == "__main__":

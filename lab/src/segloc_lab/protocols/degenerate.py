@@ -14,8 +14,8 @@ from typing import Any
 
 from segloc import Config, Localizer, Scan, SegmentMap
 
-from ..parallel import kept_results
-from ..report import Cell, Table, publish, reporting, wilson
+from ..report import Cell, Table, publish, wilson
+from ..runner import Runner
 from ..simulation.bare_views import VIEWS, view
 
 
@@ -58,20 +58,13 @@ def table(found: list[dict[str, Any]]) -> Table:
 
 
 def main() -> None:
-    options = reporting(__doc__)
-    options.add_argument("maps", type=Path, nargs="+")
-    options.add_argument("--each", type=int, default=200, help="views of each kind in each map")
-    options.add_argument("--out", type=Path, default=Path("degenerate.jsonl"))
-    options.add_argument("--workers", type=int, default=1, help="processes")
-    args = options.parse_args()
-    found = kept_results(
-        args.out,
-        partial(answers_in, each=args.each),
-        args.maps,
-        lambda path, results: any(result["map"] == name_of(path) for result in results),
-        workers=args.workers,
-        what="maps",
-    )
+    runner = Runner(__doc__, "degenerate.jsonl", parallel=True)
+    add = runner.options.add_argument
+    add("maps", type=Path, nargs="*")
+    add("--each", type=int, default=200, help="views of each kind in each map")
+    args = runner.parse()
+    work = partial(answers_in, each=args.each)
+    found = runner.run(work, args.maps, ("map",), lambda path: [name_of(path)])
     publish(args.report, "Views that fix no place", table(found))
 
 

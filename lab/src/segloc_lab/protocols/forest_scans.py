@@ -90,7 +90,7 @@ def methods(prior_map: SegmentMap) -> dict[str, Locate]:
 def stem_map(prior_map: SegmentMap) -> LandmarkMap:
     """Return the stems in the cloud of a map."""
     stems = StemFinder().find(prior_map.cloud, spacing=prior_map.cloud_voxel)
-    columns = stems.moved(np.eye(4))
+    columns = stems.transform(np.eye(4))
     positions, views = columns[:, :3] + prior_map.origin, np.ones(len(stems), np.int64)
     return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, prior_map.trajectory)
 

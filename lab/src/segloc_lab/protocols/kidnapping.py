@@ -23,13 +23,12 @@ kept, a line a trial, and a run goes on where the last one ended. ``--add`` adds
 
 from __future__ import annotations
 
-import time
-from argparse import Namespace
-from collections.abc import Iterable
+import functools
+import itertools
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from functools import reduce
 from pathlib import Path
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +40,8 @@ from segloc.tools.datasets import Selection
 from segloc.types import Derived, Float64, Int64, Recording
 
 from ..recordings import Cached
-from ..report import Cell, Table, earlier, keep, publish, resumed, share
+from ..report import Cell, Table, publish, share
+from ..runner import Runner
 from ..simulation import (
     PLATFORMS,
     SCENES,
@@ -389,7 +389,7 @@ class Building(World):
             maps.append(build_map(mapped, config))
             drives.append(Cached(driven))
             truths.append(driven.truth)
-        self.localizer = Localizer(reduce(SegmentMap.merge, maps), config)
+        self.localizer = Localizer(functools.reduce(SegmentMap.merge, maps), config)
         self.drive = Joined(drives[0], tuple(drives))
         self._length = min(map(len, drives))
         self.truths = np.concatenate(truths)
@@ -526,51 +526,44 @@ def report(found: list[Trial], folder: Path | None) -> None:
     publish(folder, "Robots that are carried away", Table(COLUMNS, table(found), note))
 
 
-def read(paths: Iterable[Path]) -> list[Trial]:
-    """Return the trials of earlier runs, each once."""
-    trials = (Trial(**entry) for path in paths for entry in earlier(path))
-    found = {(t.seed, t.number): t for t in trials}
+@functools.lru_cache(maxsize=2)
+def world_of(kinds: tuple[Kind, ...], seed: int, replaced: float = 0.1) -> World:
+    """Make the world of a seed, of kinds that take turns; the last ones are kept."""
+    return World(kinds[seed % len(kinds)], seed, replaced)
+
+
+@functools.lru_cache(maxsize=1)
+def building_of(seed: int) -> Building:
+    """Make the building of a seed, of kinds that take turns; the last one is kept."""
+    return Building(LIFTED_KINDS[seed % len(LIFTED_KINDS)], seed)
+
+
+def trials_of(results: Iterable[Mapping[str, Any]]) -> list[Trial]:
+    """Return the trials of results, each once."""
+    found = {(each["seed"], each["number"]): Trial(**each) for each in results}
     return [found[key] for key in sorted(found)]
 
 
-def _world(seed: int, args: Namespace) -> World:
-    """Return the world of a seed."""
-    if args.lifted:
-        return Building(LIFTED_KINDS[seed % len(LIFTED_KINDS)], seed)
-    kinds = ALIKE_KINDS if args.alike else KINDS
-    return World(kinds[seed % len(kinds)], seed)
-
-
 def main() -> None:
-    options = resumed(__doc__, "kidnapping.jsonl")
-    options.add_argument("--worlds", type=int, default=48)
-    options.add_argument("--trials", type=int, default=5, help="in each world")
-    options.add_argument("--first-seed", type=int, default=4104)
-    options.add_argument("--alike", action="store_true", help="carry them to where most is alike")
-    options.add_argument("--lifted", action="store_true", help="let them ride lifts")
-    options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
-    options.add_argument("--done", type=Path, nargs="+", default=[], help="what others have tried")
-    args = options.parse_args()
-    if args.add:
-        report(read(args.add), args.report)
-        return
-    begun = time.monotonic()
-    done = {(t.seed, t.number) for t in read([args.out, *args.done])}
-    for seed in range(args.first_seed, args.first_seed + args.worlds):
-        world = None
-        for number in range(args.trials):
-            if (seed, number) in done or time.monotonic() - begun > args.seconds:
-                continue
-            world = world or _world(seed, args)
-            if isinstance(world, Building):
-                keep(args.out, asdict(world.lifted(number)))
-                continue
-            if not len(world.known):  # a drive need not meet the map
-                continue
-            trial = world.alike(number) if args.alike else world.trial(number)
-            if trial is not None:
-                keep(args.out, asdict(trial))
-    report(read([args.out]), args.report)
+    runner = Runner(__doc__, "kidnapping.jsonl", first_seed=4104, worlds=48)
+    add = runner.options.add_argument
+    add("--trials", type=int, default=5, help="in each world")
+    add("--alike", action="store_true", help="carry them to where most is alike")
+    add("--lifted", action="store_true", help="let them ride lifts")
+    args = runner.parse()
+
+    def tried(task: tuple[int, int]) -> dict[str, Any] | None:
+        seed, number = task
+        if args.lifted:
+            return asdict(building_of(seed).lifted(number))
+        world = world_of(ALIKE_KINDS if args.alike else KINDS, seed)
+        if not len(world.known):  # a drive need not meet the map
+            return None
+        trial = world.alike(number) if args.alike else world.trial(number)
+        return None if trial is None else asdict(trial)
+
+    tasks = itertools.product(runner.seeds, range(args.trials))
+    report(trials_of(runner.run(tried, tasks, ("seed", "number"))), args.report)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from segloc import SegmentMap
-from segloc.map import CompactConfig, compacted, concatenated, with_sessions
+from segloc.map import CompactConfig, compacted, concatenate_maps, with_sessions
 from segloc.system.files import replacing
 from segloc.system.processes import all_of, executing, single_threaded_pool
 from segloc.tiles import cut_tiles
@@ -107,7 +107,7 @@ class City:
             with_sessions(part, np.full(len(part), k, np.int32))
             for k, part in enumerate(SegmentMap.load(p.map_file) for p in self.pieces)
         ]
-        whole = compacted(concatenated(parts), CompactConfig())
+        whole = compacted(concatenate_maps(parts), CompactConfig())
         joined = time.time() - began, _cpu_s() - before
         tiles = self.work / "tiles"
         with executing(self.options.workers, None) as executor:

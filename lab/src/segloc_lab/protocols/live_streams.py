@@ -39,7 +39,8 @@ from segloc.types import Float64, Int64, Recording
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
 from ..outcomes import pose_error
 from ..recordings import Kept, kept
-from ..report import Cell, Table, earlier, entries, keep, publish, resumed
+from ..report import Cell, Table, keep, publish
+from ..runner import Runner
 from ..simulation import (
     SCENES,
     SENSORS,
@@ -447,33 +448,29 @@ def samples_of(records: list[dict[str, Any]]) -> dict[str, list[Sample]]:
 
 
 def main() -> None:
-    options = resumed(__doc__, "streams.jsonl")
-    options.add_argument("--sensor", choices=("hdl64e", "os1-64", "vlp16"), default="vlp16")
-    options.add_argument("--seeds", type=int, nargs="*", default=[5200])
-    options.add_argument("--length", type=float, default=500.0, help="metres of each")
-    options.add_argument("--kitti", type=Path, metavar="DATA")
-    options.add_argument("--minutes", type=float, help="minutes of stream of a LiDAR alone")
-    options.add_argument("--thin", type=int, default=1, help="one firing in COUNT, for --minutes")
-    options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
-    options.add_argument("--scans", type=Path, help="a folder to keep simulated scans in")
-    args = options.parse_args()
-    if args.add:
-        report(entries(*args.add), args.report)
-        return
-    ends = time.monotonic() + args.seconds
-    done = {(r.get("stream"), r.get("seed")) for r in earlier(args.out)}
-    if args.minutes:
-        where = args.scans or Path("scans")
+    runner = Runner(__doc__, "streams.jsonl")
+    add = runner.options.add_argument
+    add("--sensor", choices=("hdl64e", "os1-64", "vlp16"), default="vlp16")
+    add("--seeds", type=int, nargs="*", default=[5200])
+    add("--length", type=float, default=500.0, help="metres of each")
+    add("--kitti", type=Path, metavar="DATA")
+    add("--minutes", type=float, help="minutes of stream of a LiDAR alone")
+    add("--thin", type=int, default=1, help="one firing in COUNT, for --minutes")
+    add("--scans", type=Path, help="a folder to keep simulated scans in")
+    args = runner.parse()
+    if args.minutes and not args.add:
+        ends, where = time.monotonic() + args.seconds, args.scans or Path("scans")
         for sample in alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin):
             keep(args.out, sample)
-    elif args.kitti:
+    elif args.kitti and not args.add:
         keep(args.out, stream_record(kitti00_stream(args.kitti)))
-    else:
-        for seed in args.seeds:
-            if (f"town, {args.sensor}", seed) in done or time.monotonic() > ends:
-                continue
-            keep(args.out, stream_record(town_stream(args.sensor, seed, args.length, args.scans)))
-    records = entries(args.out)
+    seeds = [] if args.minutes or args.kitti else args.seeds
+    records = runner.run(
+        lambda seed: stream_record(town_stream(args.sensor, seed, args.length, args.scans)),
+        seeds,
+        ("stream", "seed"),
+        lambda seed: (f"town, {args.sensor}", seed),
+    )
     report(records, args.report)
     for sensor, samples in samples_of(records).items():
         if growth(samples) >= MAX_GROWTH:

@@ -19,8 +19,8 @@ from segloc.likelihood import log_odds, shipped_model
 from segloc.localization import Reason
 
 from ..calibration.rows import World, worlds_of
-from ..parallel import kept_results, world_is_done
-from ..report import Table, publish, reporting
+from ..report import Table, publish
+from ..runner import Runner
 
 COLUMNS = ("kind", "searches", "accepted", "thorough", "compared", "median", "95 %", "not in map")
 NOT_IN_MAP = 0.9
@@ -75,15 +75,13 @@ def table(worlds: list[dict[str, Any]], cap: float) -> Table:
 
 
 def main() -> None:
-    options = reporting(__doc__)
-    options.add_argument("worlds", type=Path, help="folder of generated worlds")
-    options.add_argument("--out", type=Path, default=Path("one-number.jsonl"))
-    options.add_argument("--every", type=int, default=1, help="take each Nth world")
-    options.add_argument("--workers", type=int, default=1, help="processes")
-    args = options.parse_args()
-    config = Config(threads=1)
-    chosen, work = worlds_of(args.worlds)[:: args.every], partial(compared_in, config=config)
-    found = kept_results(args.out, work, chosen, world_is_done, workers=args.workers, what="worlds")
+    runner = Runner(__doc__, "one-number.jsonl", parallel=True)
+    runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
+    args = runner.parse()
+    work = partial(compared_in, config=Config(threads=1))
+    chosen = worlds_of(args.worlds)[:: args.every]
+    found = runner.run(work, chosen, ("world",), lambda world: [world.name])
     cap = log_odds(1.0 - shipped_model().lapse) - 0.01  # rounding
     publish(args.report, "Reported and thorough", table(found, cap))
 

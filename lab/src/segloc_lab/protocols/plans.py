@@ -29,9 +29,9 @@ from segloc.types import Pose
 
 from ..calibration.rows import errors, is_right
 from ..padding import mirrored
-from ..parallel import kept_results
 from ..recordings import kept
-from ..report import Cell, Table, entries, publish, resumed, share, wilson
+from ..report import Cell, Table, publish, share, wilson
+from ..runner import Runner
 from ..simulation import (
     PLATFORMS,
     SENSORS,
@@ -258,33 +258,21 @@ def report(records: list[Record], folder: Path | None) -> None:
 
 
 def main() -> None:
-    options = resumed(__doc__, "plans.jsonl")
-    options.add_argument("--first-seed", type=int, default=70_000)
-    options.add_argument("--worlds", type=int, default=5)
-    options.add_argument("--count", type=int, default=12, help="queries of each kind and world")
-    options.add_argument("--work", type=Path, default=Path("plans"), help="keeps maps and scans")
-    options.add_argument("--maps", nargs="*", choices=MAPS, default=MAPS)
-    options.add_argument("--workers", type=int, default=1, help="processes")
-    args = options.parse_args()
-    if args.add:
-        report(entries(*args.add), args.report)
-        return
-    seeds = range(args.first_seed, args.first_seed + args.worlds)
-    sites = [Site(args.first_seed, seed, args.count) for seed in seeds]
+    runner = Runner(__doc__, "plans.jsonl", first_seed=70_000, worlds=5, parallel=True)
+    add = runner.options.add_argument
+    add("--count", type=int, default=12, help="queries of each kind and world")
+    add("--work", type=Path, default=Path("plans"), help="keeps maps and scans")
+    add("--maps", nargs="*", choices=MAPS, default=MAPS)
+    args = runner.parse()
+    sites = [Site(args.first_seed, seed, args.count) for seed in runner.seeds]
     tasks = [
         Task(site, name, tuple(other for other in sites if other != site))
         for name in MAPS
         if name in args.maps
         for site in sites
     ]
-    found = kept_results(
-        args.out,
-        partial(answered, work=args.work),
-        tasks,
-        lambda task, done: any(r["world"] == task.site.name and r["map"] == task.map for r in done),
-        workers=args.workers,
-        what="maps",
-    )
+    work = partial(answered, work=args.work)
+    found = runner.run(work, tasks, ("world", "map"), lambda task: (task.site.name, task.map))
     report(found, args.report)
 
 

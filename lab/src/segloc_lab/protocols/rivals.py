@@ -26,13 +26,16 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import functools
+import itertools
 import re
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +55,8 @@ from ..peers.particle_filter import Grid, ParticleFilter, planar
 from ..peers.particle_filter import Settings as FilterSettings
 from ..peers.scan_context import Candidate, Places, Query, ScanContexts, sideways
 from ..recordings import Cached
-from ..report import Cell, Table, earlier, keep, publish, resumed, share
+from ..report import Cell, Table, publish, share
+from ..runner import Runner
 from .kidnapping import (
     ALIKE,
     ALIKE_KINDS,
@@ -65,6 +69,7 @@ from .kidnapping import (
     World,
     events,
     row,
+    world_of,
 )
 
 GRID = nav2.GridOptions(resolution_m=0.1)
@@ -143,6 +148,11 @@ class Prepared:
         """Return which poses lie within map coverage, (N,) bool."""
         path = self.world.localizer.prior_map.trajectory
         return distances_to_path(truths, path) <= COVERAGE_RADIUS_M
+
+    @functools.cache  # noqa: B019, as long as the world
+    def carried(self, number: int) -> Carried | None:
+        """Return the drive of a robot; none if the drive does not meet the map."""
+        return self.world.carried_alike(number) if len(self.world.known) else None
 
     @cached_property
     def views(self) -> Clouds:
@@ -335,10 +345,9 @@ def _row(name: str, found: list[Followed], least: list[float]) -> tuple[Cell, ..
     return (name, share(right, int(within.sum())), *became, round(ms, 1))
 
 
-def read(paths: Iterable[Path]) -> list[Followed]:
-    """Return what earlier runs have kept, each once."""
-    kept = (Followed(**entry) for path in paths for entry in earlier(path))
-    found = {(f.seed, f.number, f.system): f for f in kept}
+def followed_of(results: Iterable[Mapping[str, Any]]) -> list[Followed]:
+    """Return what robots did by results, each once."""
+    found = {(each["seed"], each["number"], each["system"]): Followed(**each) for each in results}
     return [found[key] for key in sorted(found)]
 
 
@@ -356,30 +365,22 @@ def chosen(systems: Collection[str]) -> list[str]:
 
 
 def main() -> None:
-    options = resumed(__doc__, "rivals.jsonl")
-    options.add_argument("--worlds", type=int, default=7)
-    options.add_argument("--trials", type=int, default=1, help="in each world")
-    options.add_argument("--first-seed", type=int, default=67000)
-    options.add_argument("--systems", nargs="+", default=list(SYSTEMS), help=", ".join(SYSTEMS))
-    options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
-    args = options.parse_args()
-    if args.add:
-        report(read(args.add), args.report)
-        return
-    systems, begun = chosen(args.systems), time.monotonic()
-    done = {(f.seed, f.number, f.system) for f in read([args.out])}
-    for seed in range(args.first_seed, args.first_seed + args.worlds):
-        known = None
-        for number in range(args.trials):
-            todo = [s for s in systems if (seed, number, s) not in done]
-            if not todo or time.monotonic() - begun > args.seconds:
-                continue
-            known = known or Prepared(World(ALIKE_KINDS[seed % len(ALIKE_KINDS)], seed))
-            carried = known.world.carried_alike(number) if len(known.world.known) else None
-            for system in todo if carried is not None else ():
-                assert carried is not None
-                keep(args.out, asdict(follow(known, carried, number, system)))
-    report(read([args.out]), args.report)
+    runner = Runner(__doc__, "rivals.jsonl", first_seed=67000, worlds=7)
+    add = runner.options.add_argument
+    add("--trials", type=int, default=1, help="in each world")
+    add("--systems", nargs="+", default=list(SYSTEMS), help=", ".join(SYSTEMS))
+    args = runner.parse()
+
+    prepared = functools.lru_cache(maxsize=1)(Prepared)
+
+    def followed(task: tuple[int, int, str]) -> dict[str, Any] | None:
+        seed, number, system = task
+        known = prepared(world_of(ALIKE_KINDS, seed))
+        carried = known.carried(number)
+        return None if carried is None else asdict(follow(known, carried, number, system))
+
+    tasks = itertools.product(runner.seeds, range(args.trials), chosen(args.systems))
+    report(followed_of(runner.run(followed, tasks, ("seed", "number", "system"))), args.report)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,8 @@ from segloc.types import Float64, Int64
 
 from ..calibration.landmarks import mirrored as mirror_image
 from ..outcomes import pose_error
-from ..report import Cell, Table, earlier, entries, keep, publish, resumed, share, wilson
+from ..report import Cell, Table, publish, share, wilson
+from ..runner import Runner
 
 BEHIND_M = 50.0
 REVISIT_M = 3.0
@@ -219,22 +220,22 @@ def report(runs: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def main() -> None:
-    options = resumed(__doc__, "trees.jsonl")
-    options.add_argument("data", type=Path)
-    options.add_argument("--every", type=int, default=1, help="use every N-th query")
-    args = options.parse_args()
-    done = earlier(args.out)
+    runner = Runner(__doc__, "trees.jsonl")
+    runner.options.add_argument("data", type=Path)
+    runner.options.add_argument("--every", type=int, default=1, help="use every N-th query")
+    args = runner.parse()
     forest = Forest.load(args.data)
-    for name, (thinning, every, mirrored) in WAYS.items():
-        if any(run["stems"] == name for run in done):
-            continue
+
+    def run(name: str) -> dict[str, Any]:
+        thinning, every, mirrored = WAYS[name]
         found = list(outcomes(forest, thinning, every * args.every, mirrored))
-        keep(args.out, {"stems": name, **summary(found)})
         for outcome in found:
             missed = outcome.reason and outcome.gap_m <= REVISIT_M and not mirrored
             if outcome.false or missed:
                 print(outcome)
-    report(entries(args.out), args.report)
+        return {"stems": name, **summary(found)}
+
+    report(runner.run(run, WAYS, ("stems",), lambda name: [name]), args.report)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ leaves the map and comes back, the metres are counted from the map's end until i
 
 from __future__ import annotations
 
+import itertools
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +26,9 @@ from segloc.types import Derived, Float64, Int64, Recording
 
 from ..calibration.known import crowded
 from ..peers.loops import chained
-from ..report import Cell, Table, earlier, entries, keep, publish, resumed
-from .kidnapping import ALIKE_KINDS, DRIFT, Carried, World
+from ..report import Cell, Table, publish
+from ..runner import Runner
+from .kidnapping import ALIKE_KINDS, DRIFT, Carried, World, world_of
 from .live_streams import RATE_HZ, Message, Stream, is_covered, spread, stream_record
 
 INDOORS_MPS = 1.0
@@ -284,30 +285,16 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def main() -> None:
-    options = resumed(__doc__, "troubles.jsonl")
-    options.add_argument("--worlds", type=int, default=10)
-    options.add_argument("--first-seed", type=int, default=68005)
-    options.add_argument("--troubles", nargs="+", choices=TROUBLES, default=list(TROUBLES))
-    options.add_argument("--seconds", type=float, default=np.inf, help="begin nothing after these")
-    args = options.parse_args()
-    if args.add:
-        report(entries(*args.add), args.report)
-        return
-    begun = time.monotonic()
-    done = {(r["seed"], r["trouble"]) for r in earlier(args.out)}
-    for seed in range(args.first_seed, args.first_seed + args.worlds):
-        worlds: dict[float, World] = {}
-        for trouble in args.troubles:
-            if (seed, trouble) in done or time.monotonic() - begun > args.seconds:
-                continue
-            replaced = 0.25 if trouble == QUARTER else 0.1
-            if replaced not in worlds:
-                kind = ALIKE_KINDS[seed % len(ALIKE_KINDS)]
-                worlds[replaced] = World(kind, seed, replaced)
-            found = record(worlds[replaced], trouble)
-            if found is not None:
-                keep(args.out, found)
-    report(entries(args.out), args.report)
+    runner = Runner(__doc__, "troubles.jsonl", first_seed=68005, worlds=10)
+    runner.options.add_argument("--troubles", nargs="+", choices=TROUBLES, default=list(TROUBLES))
+    args = runner.parse()
+
+    def recorded(task: tuple[int, str]) -> dict[str, Any] | None:
+        seed, trouble = task
+        return record(world_of(ALIKE_KINDS, seed, 0.25 if trouble == QUARTER else 0.1), trouble)
+
+    tasks = itertools.product(runner.seeds, args.troubles)
+    report(runner.run(recorded, tasks, ("seed", "trouble")), args.report)
 
 
 if __name__ == "__main__":

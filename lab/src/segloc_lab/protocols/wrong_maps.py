@@ -25,8 +25,8 @@ from segloc import Config, Localizer, SegmentMap
 from ..calibration.rows import errors, is_right
 from ..calibration.worlds import KINDS, generated, kind_of, load_queries
 from ..padding import mirrored
-from ..parallel import kept_results
-from ..report import Cell, Table, entries, publish, resumed, wilson
+from ..report import Cell, Table, publish, wilson
+from ..runner import Runner
 
 HOME = ("own", "half")
 MIRRORED = " mirrored"
@@ -174,24 +174,13 @@ def report(records: list[Record], folder: Path | None) -> None:
 
 
 def main() -> None:
-    options = resumed(__doc__, "wrong_maps.jsonl")
-    options.add_argument("worlds", type=Path, nargs="?", help="folder of generated worlds")
-    options.add_argument("--workers", type=int, default=1, help="processes")
-    args = options.parse_args()
-    if args.add:
-        report(entries(*args.add), args.report)
-        return
-    if args.worlds is None:
-        options.error("pass the folder of generated worlds, or --add FILE")
-    found = kept_results(
-        args.out,
-        searched,
-        list(parts(generated(args.worlds))),
-        lambda part, results: any(result["part"] == part.key for result in results),
-        workers=args.workers,
-        what="parts",
-    )
-    report(found, args.report)
+    runner = Runner(__doc__, "wrong_maps.jsonl", parallel=True)
+    runner.options.add_argument("worlds", type=Path, nargs="?", help="folder of generated worlds")
+    args = runner.parse()
+    if args.worlds is None and not args.add:
+        runner.options.error("pass the folder of generated worlds, or --add FILE")
+    tasks = [] if args.add else list(parts(generated(args.worlds)))
+    report(runner.run(searched, tasks, ("part",), lambda part: [part.key]), args.report)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Studies on pairs of segments: labels, curves, trainings, and that nothing is done twice."""
+"""Studies on pairs of segments: labels, curves, trainings."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from samples.shapes import shapes_dataset  # noqa: E402
 from segloc_lab.bench.harness import Row  # noqa: E402
 from segloc_lab.evaluation.study import Study, Table  # noqa: E402
 from segloc_lab.studies.paper import domains as making  # noqa: E402
+from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
 from segloc_lab.studies.paper import (  # noqa: E402
-    learning,
     roc,
     sampling,
     transfer,
 )
-from segloc_lab.studies.paper import pairs as pair_module  # noqa: E402
 from segloc_lab.studies.paper.domains import SIMULATED, Domains, DomainSize  # noqa: E402
 from segloc_lab.studies.paper.learning import Effort, Training, load_method, trained  # noqa: E402
 from segloc_lab.studies.paper.pairs import labelled_pairs  # noqa: E402
@@ -81,14 +80,6 @@ def curves(space: Workspace) -> Study:
     return roc.run(space, PLAN)
 
 
-def forbid(patch: pytest.MonkeyPatch, *targets: tuple[object, str]) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("this was done before")
-
-    for module, name in targets:
-        patch.setattr(module, name, refuse)
-
-
 def cells(table: Table, column: str, keys: int = 1) -> dict[Any, Any]:
     """A column by what the first columns say."""
     k = table.columns.index(column)
@@ -115,28 +106,17 @@ def test_pairs_are_labelled_as_in_the_paper(space: Workspace) -> None:
         labelled_pairs(together)
 
 
-def test_simulated_domains_are_made_once_and_hold_true_pairs(
-    patched: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_simulated_domains_hold_true_pairs(patched: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    size = DomainSize(1, 1, "small")
     with patched.context() as patch:
         patch.setattr(making, "_simulate", SIMULATE)
-        check_a_simulated_domain(tmp_path)
-
-
-def check_a_simulated_domain(tmp_path: Path) -> None:
-    size = DomainSize(1, 1, "small")
-    folder = making.simulated(tmp_path, "burgess", "train", size)
-    dataset = load_dataset(folder)
-    pairs = labelled_pairs(dataset)
-    known = dataset.objects[pairs.first], dataset.objects[pairs.second]
-    assert (known[0] == known[1])[pairs.same].mean() > 0.7
-    assert (known[0] == known[1])[~pairs.same].mean() < 0.1
-    with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (making, "_simulate"))
-        assert making.simulated(tmp_path, "burgess", "train", size) == folder
-    (folder / "index.json").unlink()  # as if it had been cut off at the end
-    with pytest.MonkeyPatch.context() as patch:
-        forbid(patch, (making, "extract_session"))
+        folder = making.simulated(tmp_path, "burgess", "train", size)
+        dataset = load_dataset(folder)
+        pairs = labelled_pairs(dataset)
+        known = dataset.objects[pairs.first], dataset.objects[pairs.second]
+        assert (known[0] == known[1])[pairs.same].mean() > 0.7
+        assert (known[0] == known[1])[~pairs.same].mean() < 0.1
+        (folder / "index.json").unlink()  # as if it had been cut off at the end
         making.simulated(tmp_path, "burgess", "train", size)
     np.testing.assert_array_equal(load_dataset(folder).labels, dataset.labels)
     with pytest.raises(ConfigError, match="atlantis"):
@@ -156,20 +136,6 @@ def test_roc_study(curves: Study, space: Workspace) -> None:
     curves.save(space.out / "roc")
     stored = json.loads((space.out / "roc" / "study.json").read_text("utf-8"))
     assert len(stored["tables"]) == len(curves.tables)
-
-
-def test_nothing_is_done_twice(curves: Study, space: Workspace) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        forbid(
-            patch, (making, "_simulate"), (learning, "_train"), (transfer, "described"),
-            (transfer, "roc"),
-        )  # fmt: skip
-        again = roc.run(space, PLAN)
-    assert again.tables == curves.tables
-    for before, after in zip(curves.figures, again.figures, strict=True):
-        for label, (x, y) in before.series.items():
-            np.testing.assert_array_equal(x, after.series[label][0])
-            np.testing.assert_array_equal(y, after.series[label][1])
 
 
 def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:

@@ -83,23 +83,23 @@ class MapLandmarks:
         """
         rough = self._coarse(query, candidates)
         order = np.argsort(-rough, kind="stable")[: self._config.max_refined]
-        refined = [self.refined(query, candidates[order[0]].T_map_local)]
+        refined = [self.refine(query, candidates[order[0]].T_map_local)]
         for k in order[1:]:
             if rough[k] >= _MIN_RELATIVE_SUPPORT * refined[0].support:
-                refined.append(self.refined(query, candidates[k].T_map_local))
+                refined.append(self.refine(query, candidates[k].T_map_local))
         return sorted(refined, key=lambda found: -found.support)
 
-    def refined(self, query: Float64, T_map_local: Pose) -> Agreement:
+    def refine(self, query: Float64, T_map_local: Pose) -> Agreement:
         """Refine a pose so that (N, 7) landmarks fit those of the map."""
         T = T_map_local
         for step in _TOLERANCE_STEPS:
             rows, mapped, _ = self._pairs(query, T, step * self._config.tolerance)
             if len(rows) < _MIN_PAIRS:
                 break
-            T = self._fitted(query[rows], mapped)
+            T = self._fit(query[rows], mapped)
         return self._at(query, T)
 
-    def shifted(self, query: Float64, found: Agreement) -> Agreement | None:
+    def shift(self, query: Float64, found: Agreement) -> Agreement | None:
         """Return the best pose a few metres away with the same heading, as in a plantation.
 
         None if too few landmarks lie on the map there.
@@ -118,7 +118,7 @@ class MapLandmarks:
             return None
         T = T_map_local.copy()
         T[:2, 3] += shift
-        return self.refined(query, T)
+        return self.refine(query, T)
 
     def _coarse(self, query: Float64, candidates: Sequence[Candidate]) -> Float64:
         """Return the support of each unrefined candidate; a map landmark may count twice."""
@@ -139,7 +139,7 @@ class MapLandmarks:
         support = float((1 - (distances / tolerance) ** 2).sum())
         return Agreement(T_map_local, len(distances), support, rmse)
 
-    def _fitted(self, query: Float64, mapped: Int64) -> Pose:
+    def _fit(self, query: Float64, mapped: Int64) -> Pose:
         """Fit the pose to pairs by their feet and, if there are enough, their axes."""
         feet = query[:, :3]
         if len(query) < _MIN_PAIRS_TILT:

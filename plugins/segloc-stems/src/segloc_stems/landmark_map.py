@@ -151,12 +151,12 @@ class LandmarkMapper:
         if not isinstance(landmarks, Landmarks):
             raise SeglocError(f"a view must be Landmarks, not {type(landmarks).__name__}")
         T = checked_pose(T_map_sensor, "T_map_sensor")
-        self._merger.add(landmarks.moved(T))
+        self._merger.add(landmarks.transform(T))
         self._trajectory.append(T)
 
     def map(self) -> LandmarkMap:
         """Return the map of all landmarks with enough views."""
-        columns, views = self._merger.merged()
+        columns, views = self._merger.merge()
         keep = views >= self._config.min_views
         columns = columns[keep]
         trajectory = np.array(self._trajectory).reshape(-1, 4, 4)
@@ -193,7 +193,7 @@ class Merger:
         self._means = np.concatenate([self._means, columns[new]])
         self._views = np.concatenate([self._views, np.ones(int(new.sum()), np.int64)])
 
-    def merged(self) -> tuple[Float64, Int64]:
+    def merge(self) -> tuple[Float64, Int64]:
         """Return means, (M, 7), and numbers of views, (M,), after joining means within the radius.
 
         The mean with most views absorbs the others.
@@ -208,7 +208,7 @@ class Merger:
             group = [keeper, *taken]
             means[keeper] = np.average(self._means[group], axis=0, weights=self._views[group])
             views[keeper] = self._views[group].sum()
-        return _normalised(means[alive]), views[alive]
+        return _normalise(means[alive]), views[alive]
 
     def _nearest(self, columns: Float64) -> tuple[Int64, Int64]:
         """Return the landmarks with a mean nearby, and that mean; the nearest landmark of each."""
@@ -234,7 +234,7 @@ class Merger:
         return [(k, around[k]) for k in order]
 
 
-def _normalised(means: Float64) -> Float64:
+def _normalise(means: Float64) -> Float64:
     length = np.linalg.norm(means[:, 3:6], axis=1, keepdims=True)
     means[:, 3:6] /= np.maximum(length, 1e-9)
     return means

@@ -59,7 +59,7 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def moved(self, T: Pose) -> Float64:
+    def transform(self, T: Pose) -> Float64:
         """Return positions, axes and diameters in the target frame of T, (N, 7) float64."""
         turned = self.directions @ T[:3, :3].T
         assert self.diameters is not None  # set by __post_init__

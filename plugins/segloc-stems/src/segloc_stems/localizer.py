@@ -88,7 +88,7 @@ class LandmarkLocalizer:
         times = StageTimes(self._clock)
         with times("gathering"):
             T_local_sensor = levelling(landmarks.directions)
-            columns = landmarks.moved(T_local_sensor)
+            columns = landmarks.transform(T_local_sensor)
         found, counts = self.search(columns, times)
         common = {"counts": counts, "times_ms": times.with_total(), "stamp": landmarks.stamp}
         return _answer(found, len(landmarks), T_local_sensor, common)
@@ -128,14 +128,14 @@ class LandmarkLocalizer:
             candidates = self._candidates(positions, matches)[: index.effort.most_candidates]
         counts["candidates"] = len(candidates)
         with times("verification"):
-            return self._found(columns, candidates, counts)
+            return self._decide(columns, candidates, counts)
 
     def _candidates(self, positions: Float64, matches: Matches) -> list[Candidate]:
         if not len(matches):
             return []
         return self._estimator.estimate(positions, self.prior_map.positions, matches)
 
-    def _found(
+    def _decide(
         self, columns: Float64, candidates: list[Candidate], counts: dict[str, int]
     ) -> LandmarkSearch:
         for what, reason in (
@@ -146,12 +146,12 @@ class LandmarkLocalizer:
             if not counts[what]:
                 return LandmarkSearch(Posterior(), reason, reason.value)
         best, *others = self._map.best(columns, candidates)
-        found = self._concluded(best, others, len(columns))
-        if found.reason is None and (shifted := self._map.shifted(columns, best)) is not None:
-            found = self._concluded(best, [*others, shifted], len(columns))
+        found = self._conclude(best, others, len(columns))
+        if found.reason is None and (shifted := self._map.shift(columns, best)) is not None:
+            found = self._conclude(best, [*others, shifted], len(columns))
         return found
 
-    def _concluded(self, best: Agreement, others: list[Agreement], count: int) -> LandmarkSearch:
+    def _conclude(self, best: Agreement, others: list[Agreement], count: int) -> LandmarkSearch:
         """Compute the posterior of the best place and the runner-up."""
         elsewhere = [a for a in others if _NEARBY.apart(a.T_map_local, best.T_map_local)]
         runner_up = max(elsewhere, key=lambda found: found.support, default=None)

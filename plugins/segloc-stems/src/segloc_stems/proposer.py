@@ -68,7 +68,7 @@ class StemProposer:
         scene, seen_from_origin = query.scene, query.cloud.num_scans == 1
         near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < RANGE_M
         stems = self._finder.find(scene.surface[near], seen_from_origin=seen_from_origin)
-        columns = stems.moved(np.eye(4))
+        columns = stems.transform(np.eye(4))
         nearest = np.argsort(np.hypot(columns[:, 0], columns[:, 1]), kind="stable")
         columns = columns[np.sort(nearest[:MAX_STEMS])]
         if len(columns) < self.config.fewest:
@@ -83,7 +83,7 @@ class StemProposer:
     def _stem_map(self) -> LandmarkMap:
         stems = self._finder.find(self._cloud.points, spacing=self._cloud.voxel)
         rows = _largest(stems, self.config.most)
-        columns = stems.moved(np.eye(4))[rows]
+        columns = stems.transform(np.eye(4))[rows]
         positions = columns[:, :3] + self._cloud.origin
         views = np.ones(len(rows), np.int64)
         return LandmarkMap(positions, columns[:, 3:6], columns[:, 6], views, np.empty((0, 4, 4)))

@@ -96,7 +96,7 @@ class StemFinder:
         # Neighbours in a voxel grid are up to 1.5 voxels apart.
         tolerance = max(self._config.tolerance, 1.4 * spacing)
         objects = upright(points, heights, tolerance, self._config)
-        fits = fitted(objects, seen_from_origin)
+        fits = fit_circles(objects, seen_from_origin)
         axes = np.column_stack([fits.slopes, np.ones(len(objects))])
         std = np.hypot(_MODEL_STD_M, fits.deviations / np.sqrt(np.maximum(objects.counts, 1)))
         return Stems(fits.feet, axes, fits.diameters, position_std=std, counts=objects.counts)
@@ -126,7 +126,7 @@ def find_stems(
     thinned = _native.voxel_grid(cloud.points, _VOXEL_M)
     found = StemFinder(config).find(thinned, seen_from_origin=cloud.num_scans == 1)
     T_sensor_local = geometry.inverse(cloud.T_local_sensor)
-    columns = found.moved(T_sensor_local)
+    columns = found.transform(T_sensor_local)
     return Stems(
         columns[:, :3],
         columns[:, 3:6],
@@ -268,7 +268,7 @@ class _Sums:
         return sums
 
 
-def fitted(objects: Upright, seen_from_origin: bool) -> Fits:
+def fit_circles(objects: Upright, seen_from_origin: bool) -> Fits:
     """Fit an axis and a circle to each object.
 
     Parameters

@@ -134,9 +134,9 @@ class TriangleIndex:
         own, rank = np.nonzero(np.isfinite(distance))
         corners = self._corners[row.reshape(distance.shape)[own, rank]]
         likelihood = np.exp(-(distance[own, rank] ** 2) / _KEY_VARIANCE)
-        return self._summed(query.corners[own].ravel(), corners.ravel(), likelihood)
+        return self._sum(query.corners[own].ravel(), corners.ravel(), likelihood)
 
-    def _summed(self, query: Int64, mapped: Int64, likelihood: Float64) -> Matches:
+    def _sum(self, query: Int64, mapped: Int64, likelihood: Float64) -> Matches:
         pairs, which = np.unique(query * self._count + mapped, return_inverse=True)
         score = np.bincount(which, np.repeat(likelihood, 3))
         best = np.argsort(-score, kind="stable")[: self.effort.most_matches]

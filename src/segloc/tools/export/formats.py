@@ -52,7 +52,7 @@ class Format:
     folder: bool = False  # True if the output is a folder
 
     @property
-    def required(self) -> str:
+    def requirement(self) -> str:
         return " or ".join(kind.what for kind in self.of)  # type: ignore[attr-defined]
 
 
@@ -127,7 +127,7 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
         raise ConfigError(f"--to {to}: unknown format; supported: {', '.join(FORMATS)}")
     source = open_source(Path(path))
     if not isinstance(source, form.of):
-        raise ConfigError(f"{path}: --to {to} needs {form.required}, and this is {source.what}")
+        raise ConfigError(f"{path}: --to {to} needs {form.requirement}, and this is {source.what}")
     target = Path(out)
     if not form.folder and not (to == "tum" and isinstance(source, AlignedSource)):
         checked_target(target)

@@ -62,7 +62,7 @@ class _Header:
         return sum(field.num_bytes for field in self.fields)
 
     @property
-    def wanted(self) -> list[int]:
+    def used_fields(self) -> list[int]:
         # Fields of several values are no coordinates.
         return wanted_columns([field.name if field.count == 1 else "" for field in self.fields])
 
@@ -82,7 +82,7 @@ class _Header:
 
     def scan(self, columns: Sequence[NDArray[Any]]) -> Scan:
         """Build a scan from the wanted columns, whose types may be lost."""
-        last = self.fields[self.wanted[-1]]
+        last = self.fields[self.used_fields[-1]]
         is_integer = last.kind.upper() in ("I", "U")
         return scan_from_columns(columns, time_name=last.name, integer_times=is_integer)
 
@@ -90,7 +90,7 @@ class _Header:
 def parse_pcd(data: bytes) -> Scan:
     """Parse a PCD file; VIEWPOINT is ignored: points stay in the stored frame."""
     header = _parse_header(data)
-    return header.scan(_columns(data, header, header.wanted))
+    return header.scan(_columns(data, header, header.used_fields))
 
 
 def parse_fields(data: bytes) -> tuple[list[str], NDArray[np.float64]]:
@@ -120,11 +120,11 @@ def point_layout(head: bytes) -> PointLayout | None:
     """Return the layout of coordinates by a file's first bytes; None if compressed."""
     header = _parse_header(head)
     if header.encoding == "ascii":
-        columns = tuple(header.columns(header.wanted[:3]))
+        columns = tuple(header.columns(header.used_fields[:3]))
         return PointLayout(header.points, header.start, columns, stride=header.width, text=True)
     if header.encoding != "binary":
         return None
-    dtypes, columns = zip(*header.places(header.wanted[:3]), strict=True)
+    dtypes, columns = zip(*header.places(header.used_fields[:3]), strict=True)
     return PointLayout(header.points, header.start, columns, dtypes, header.stride)
 
 

@@ -1,4 +1,4 @@
-"""Every dataset's format: points, poses and stamps, against the truth and second readers."""
+"""Every dataset's format: points, poses and stamps, against the truth."""
 
 from __future__ import annotations
 
@@ -94,43 +94,6 @@ def test_a_scan_that_was_cut_off_is_named(name: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=victim.name.replace(".", r"\.")) as caught:
         sequence.scan(2)
     assert "\n" not in str(caught.value)
-
-
-def test_second_readers_of_poses_and_points(tmp_path: Path) -> None:
-    pytest.importorskip("kiss_icp")
-    from kiss_icp.datasets.boreas import BoreasDataset
-    from kiss_icp.datasets.helipr import HeLiPRDataset
-    from kiss_icp.datasets.kitti import KITTIOdometryDataset
-    from kiss_icp.datasets.nclt import NCLTDataset
-
-    def compare(path: Path, poses: np.ndarray) -> None:
-        ours = open_sequence(path).poses
-        rows = poses.astype(np.float64)
-        np.testing.assert_allclose(
-            np.linalg.inv(rows[0]) @ rows, geometry.inverse(ours[0]) @ ours, atol=1e-5
-        )
-
-    compare(kitti(tmp_path, DRIVE), KITTIOdometryDataset(tmp_path, "0").gt_poses)
-    path = boreas(tmp_path, DRIVE)
-    other = BoreasDataset(path)
-    compare(path, other.gt_poses)
-    np.testing.assert_array_equal(other[1][0], open_sequence(path).raw(1).points)
-    path = helipr(tmp_path, DRIVE, "Ouster")
-    another = HeLiPRDataset(path, "Ouster")
-    compare(path, another.gt_poses)
-    read = another.read_point_cloud(another.get_data(1))
-    ours = open_sequence(path).raw(1).points
-    assert len(read) == len(ours) - 1  # it leaves out the last
-    np.testing.assert_allclose(read, ours[:-1])
-    path = nclt(tmp_path, DRIVE)
-    truth = tmp_path / "ground_truth"
-    truth.mkdir()
-    lines = (path / f"groundtruth_{path.name}.csv").read_text().splitlines()[1:]
-    edges = [line.replace(line.split(",")[0], str(int(line.split(",")[0]) + shift), 1)
-             for line, shift in ((lines[0], -10**6), (lines[-1], 10**6))]  # fmt: skip
-    text = "\n".join([edges[0], *lines, edges[1]])
-    (truth / f"groundtruth_{path.name}.csv").write_text(text)
-    compare(path, NCLTDataset(path).gt_poses)
 
 
 def test_nclt_far_points_are_not_negative(tmp_path: Path) -> None:

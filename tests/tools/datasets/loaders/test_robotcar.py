@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from samples.datasets import FLIP, START, angles, made, matrix, us
 from samples.robotcar import FRONT, write_ins, write_sweep
-from segloc_lab.swathes import swathes
 
 from segloc import geometry
 from segloc.errors import DatasetError
@@ -106,16 +105,6 @@ def test_poses_before_the_ins_is_aligned_are_not_used(tmp_path: Path) -> None:
     unposed = open_sequence(path)
     assert unposed.poses is None
     assert any("ins.csv: the INS was never aligned" in note for note in unposed.notes)
-
-
-def test_swathes_of_a_traversal(tmp_path: Path) -> None:
-    path, world = traversal(tmp_path, seconds=4.0)
-    gathered = swathes(open_sequence(path), 30.0)
-    assert len(gathered) == 1
-    cloud = gathered.scan(0)
-    points = geometry.transform(cloud.T_odom_sensor, cloud.points)
-    count = len(points) // 40
-    np.testing.assert_allclose(points, np.vstack(world[:count]), atol=1e-4)
 
 
 def test_the_radar_sets_velodyne(tmp_path: Path) -> None:

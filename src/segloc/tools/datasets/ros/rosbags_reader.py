@@ -95,18 +95,18 @@ class _Zstd:
 
 
 def _limit_profiles(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    def limited(profiles: Any) -> Any:
+    def parse_limited(profiles: Any) -> Any:
         if isinstance(profiles, str):
             check_metadata(profiles, "the quality of service of a topic")
         return parse_qos(profiles)
 
-    return limited
+    return parse_limited
 
 
 def _limit_records(read_index: Callable[..., None]) -> Callable[..., None]:
     """Limit the records of a ROS 1 bag's index: chunks may share records."""
 
-    def counted(reader: Any, place: int, indexes: dict[int, list[Any]]) -> None:
+    def read_counted(reader: Any, place: int, indexes: dict[int, list[Any]]) -> None:
         begin = reader.bio.tell()
         read_index(reader, place, indexes)
         reader.index_bytes = getattr(reader, "index_bytes", 0) + reader.bio.tell() - begin
@@ -114,7 +114,7 @@ def _limit_records(read_index: Callable[..., None]) -> Callable[..., None]:
             raise DatasetError("the index is longer than the file: chunks share records")
         check_points(reader.index_bytes // _INDEX_ENTRY_BYTES, "messages in its index")
 
-    return counted
+    return read_counted
 
 
 class _Apsw:
