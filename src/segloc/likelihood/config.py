@@ -20,9 +20,7 @@ class VerificationConfig(Section):
     )
     refine: bool = Field(True, description="refine the pose by ICP")
 
-    max_places: int = Field(
-        8, ge=1, le=100, description="most places with which a pose is compared"
-    )
+    max_places: int = Field(8, ge=1, le=100, description="most promising places, which are aligned")
     coarse_radius: float = Field(
         0.5, ge=0.01, le=10, description="neighbourhood before ICP, metres"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -26,8 +27,10 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
+_FIRST = 2
+"""Candidates of each proposer that are among the promising ones, by its own order."""
 _FEW_RIVALS = 3
-"""Places whose alignment nearly always tells of a pose what that of all rivals would."""
+"""Places that overlap most, with which a pose is compared first."""
 _MORE = 4
 """Further places that may be aligned: those about the best one."""
 
@@ -128,6 +131,8 @@ class Trial:
         Number of distinct query segments that agree with the pose.
     overlap : float
         Overlap before alignment.
+    rank : int
+        Number of better candidates by its own proposer.
     known : (4, 4) float64 or None
         Pose, known from elsewhere, that is measured to the end, whatever it promises.
     measures : tuple of float
@@ -145,6 +150,7 @@ class Trial:
     T_map_local: Pose
     inliers: int
     overlap: float
+    rank: int
     known: Pose | None = None
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
@@ -214,7 +220,12 @@ class Scorer:
             self._inliers_there = np.array([c.inliers for c in candidates])
         for place in self.places:
             self._count(place)
-        self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
+        count = Counter[str]()
+        poses = []
+        for c in candidates:
+            poses.append((c.T_map_local, c.inliers, count[c.proposer]))
+            count[c.proposer] += 1
+        self._consider(poses, known)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""
@@ -229,21 +240,21 @@ class Scorer:
     def measure(self, *, thorough: bool = False) -> Posterior:
         """Measure places until it is unlikely that any other competes; return the posterior.
 
-        ``thorough`` measures the most promising ones to the end, whatever they promise.
+        More rivals than those that overlap most are met unless one place is as sure as can be: of
+        5000 such places of the fit none was refused beside all rivals. ``thorough`` measures the
+        most promising ones to the end, whatever they promise.
         """
-        self._begin()
-        most = self._config.max_places
-        count = most if thorough else min(_FEW_RIVALS, most)
-        while True:
-            self._meet_rivals(count)
-            while (place := self._next(thorough)) is not None:
-                self._advance(place)
-                leader = self._leader()
-                if leader is not None and (thorough or leader.log_ratio >= self._threshold):
-                    self._surround(leader)
-            if count == most or not self._is_open():
+        first = self._begin()
+        if not thorough and first is not None and first.promise >= -self._threshold:
+            self._meet(sorted(self.places, key=lambda p: -p.overlap)[:_FEW_RIVALS])
+            self._decide()
+            leader = self._leader()
+            if leader is not None and leader.log_ratio >= self._certain:
                 return self.posterior()
-            count = most
+        promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
+        self._meet(promising[: self._config.max_places])
+        self._decide(thorough)
+        return self.posterior()
 
     def posterior(self) -> Posterior:
         """Return the posterior of what was measured; the rest has a share by its promise."""
@@ -251,21 +262,22 @@ class Scorer:
         left = [place.promise for place in self.places if place.fit is None]
         return Posterior.of(scored, self._model.lapse, left)
 
-    def _begin(self) -> None:
-        """Align the most promising place, from the best start about it."""
+    def _begin(self) -> Trial | None:
+        """Align the most promising place, from the best start about it, and return it."""
         if not self.places:
-            return
+            return None
         first = max(self.places, key=lambda place: place.rough)
         start = self._surround(first)
         if first.aligned is None:
             self._align(first, start)
+        return first
 
-    def _meet_rivals(self, count: int) -> None:
-        """Align the places that overlap most: with the best of them each pose is compared."""
-        if not self.places:
+    def _meet(self, rivals: Sequence[Trial]) -> None:
+        """Align rivals: with the best of them each pose is compared."""
+        if not rivals:
             return
         self._rivals = []
-        for place in sorted(self.places, key=lambda place: -place.overlap)[:count]:
+        for place in rivals:
             if place.aligned is None:
                 self._align(place)
             assert place.aligned is not None
@@ -276,10 +288,13 @@ class Scorer:
             self._merge(every[k])
         self._score()
 
-    def _is_open(self) -> bool:
-        """Return whether more rivals may change the decision: the best place is hardly accepted."""
-        leader = self._leader()
-        return leader is not None and self._threshold <= leader.log_ratio < self._certain
+    def _decide(self, thorough: bool = False) -> None:
+        """Measure places, the most promising first, until none other is likely to compete."""
+        while (place := self._next(thorough)) is not None:
+            self._advance(place)
+            leader = self._leader()
+            if leader is not None and (thorough or leader.log_ratio >= self._threshold):
+                self._surround(leader)
 
     def _next(self, thorough: bool) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""
@@ -344,16 +359,18 @@ class Scorer:
         self._surrounded.append(place.T_map_local)
         around = self._map.around(place.T_map_local, self._query)
         near = [T for T in around.rivals if self._allowed(T)]
-        self._consider([(T, self._inliers(T)) for T in near])
+        self._consider([(T, self._inliers(T), _FIRST) for T in near])
         return around.start
 
-    def _consider(self, proposed: Sequence[tuple[Pose, int]], known: Sequence[Pose] = ()) -> None:
-        """Add poses with their inliers, known ones or the most promising at a place."""
-        poses = [*((T, self._inliers(T)) for T in known), *proposed]
+    def _consider(
+        self, proposed: Sequence[tuple[Pose, int, int]], known: Sequence[Pose] = ()
+    ) -> None:
+        """Add poses with their inliers and ranks, known ones or the most promising at a place."""
+        poses = [*((T, self._inliers(T), 0) for T in known), *proposed]
         if not poses:
             return
         overlaps = self._map.rough_overlap([T for T, *_ in poses], self._query)
-        fresh = [Trial(T, n, o) for (T, n), o in zip(poses, overlaps, strict=True)]
+        fresh = [Trial(T, n, o, k) for (T, n, k), o in zip(poses, overlaps, strict=True)]
         for place, T in zip(fresh, known, strict=False):
             place.known = T
         begun = [place for place in self.places if place.aligned is not None]
@@ -385,6 +402,7 @@ class Scorer:
         """Keep the better of two that were measured at one place."""
         for other in self._same(place):
             worse, better = sorted((place, other), key=_merit)
+            better.rank = min(place.rank, other.rank)
             better.known = worse.known if better.known is None else better.known
             self.places = [each for each in self.places if each is not worse]
             if worse is place:
