@@ -17,7 +17,6 @@ import numpy as np
 
 from segloc import Config, Localizer, geometry
 from segloc.tools.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
-from segloc.tools.inspect.pictures import SMALL_PT
 from segloc.types import Float64, Pose
 
 from ..report import entries
@@ -91,7 +90,7 @@ def draw(found: list[Drawn]) -> bytes:
         axes.set_title(
             f"{answer['world']}, {answer['made']} {answer['query']} ({answer['sensor']})\n"
             f"map: {answer['map']}, confidence {answer['confidence']:.4f}",
-            fontsize=SMALL_PT,
+            fontsize="x-small",
         )
     legend(figure.axes[0])
     for axes in figure.axes[len(found) :]:
