@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -186,7 +186,6 @@ class Scorer:
         self._config, self._model = likelihood.config, likelihood.model
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
-        self._certain = log_odds(1.0 - self._model.lapse)
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
@@ -246,15 +245,28 @@ class Scorer:
         """
         first = self._begin()
         if not thorough and first is not None and first.promise >= -self._threshold:
-            self._meet(sorted(self.places, key=lambda p: -p.overlap)[:_FEW_RIVALS])
-            self._decide()
-            leader = self._leader()
-            if leader is not None and leader.log_ratio >= self._certain:
-                return self.posterior()
+            certain = self._certain_beside_few()
+            if certain is not None:
+                return certain
         promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
         self._meet(promising[: self._config.max_places])
         self._decide(thorough)
         return self.posterior()
+
+    def _certain_beside_few(self) -> Posterior | None:
+        """Return the posterior beside few rivals if a place is as sure as can be.
+
+        Otherwise nothing was tried: a place that is measured now would replace a better one that is
+        aligned later.
+        """
+        places, surrounded = [replace(place) for place in self.places], list(self._surrounded)
+        self._meet(sorted(self.places, key=lambda place: -place.overlap)[:_FEW_RIVALS])
+        self._decide()
+        leader = self._leader()
+        if leader is not None and leader.log_ratio >= log_odds(1.0 - self._model.lapse):
+            return self.posterior()
+        self.places, self._surrounded = places, surrounded
+        return None
 
     def posterior(self) -> Posterior:
         """Return the posterior of what was measured; the rest has a share by its promise."""
