@@ -30,6 +30,9 @@ __all__ = [
 FLAT_M = 0.005
 """Largest standard deviation of points from their plane [m]."""
 
+PATH_BREAK_M = 35.0
+"""Poses of a path farther apart are not connected [m]."""
+
 
 def rigid(R: NDArray[np.floating[Any]], t: NDArray[np.floating[Any]]) -> Pose:
     """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation."""

@@ -210,10 +210,9 @@ class LiveCore:
         """
         time, (height_m, sigma_m) = known_stamp(stamp), checked_height(height_m, sigma_m)
         T_odom_base, now = self._odometry.nearest(time), max(self._newest, self._odometry.newest)
-        if T_odom_base is None or not abs(now - time) <= self.config.height_s:
-            self.unused_heights += 1
-            return []
-        if time < self._height_at <= now:  # out of order
+        is_old = not abs(now - time) <= self.config.height_s
+        is_out_of_order = time < self._height_at <= now
+        if T_odom_base is None or is_old or is_out_of_order:
             self.unused_heights += 1
             return []
         self._height_at = time

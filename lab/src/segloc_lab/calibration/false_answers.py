@@ -53,10 +53,11 @@ class Drawn:
 def false_answers(world: World, answers: list[dict[str, Any]], config: Config) -> Iterator[Drawn]:
     """Localize the queries of false answers again."""
     queries = list(world.queries())
+    maps = {answer["map"]: "own" if answer["map"] == BARE else answer["map"] for answer in answers}
+    places = {name: Localizer(world.maps[of], config) for name, of in maps.items()}
     for answer in answers:
-        made = queries[answer["query"]]
-        prior_map = world.maps["own" if answer["map"] == BARE else answer["map"]]
-        localizer = Localizer(prior_map, config)
+        made, localizer = queries[answer["query"]], places[answer["map"]]
+        prior_map = localizer.prior_map
         query = localizer.describe(made.scans)
         found = localizer.locate(query)
         if found.T_map_sensor is None:

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from ... import geometry
+from ...geometry import PATH_BREAK_M as PATH_BREAK_M
 from ...localization import Localization
 from ...map.info import CLOUD, SOURCE
 from ...map.segment_map import SegmentMap
@@ -23,9 +24,6 @@ COVERAGE_RADIUS_M = 3.0
 
 SURROUNDED_M = 20.0
 """A finished cloud covers gaps between its surfaces up to this width [m]."""
-
-PATH_BREAK_M = 35.0
-"""Poses of a map's trajectory farther apart are not connected [m]."""
 
 PROCESSOR = "processor"
 """Key of the processor time of a query, among its times by the clock."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ... import geometry
 from ...errors import ConfigError, SeglocError
-from ...geometry import ros_covariance
+from ...geometry import PATH_BREAK_M, ros_covariance
 from ...map.georeference import Georeference
 from ...system.files import write_text
 from ...system.text import quantity
@@ -22,8 +22,6 @@ from ...types import Float64, Pose
 from ..io import Trajectory, write_tum
 from .sources import AlignedSource, FoundSource, MapSource, Source
 
-BREAK_M = 35.0
-"""Poses farther apart are not connected by a line."""
 UNTIMED = "no times: the first column is the scan number"
 _DEGREE_DIGITS = 8
 _UNIX_S = (1e9, 4e9)  # seconds since 1970, of 2001 to 2096
@@ -197,7 +195,7 @@ def _features(source: Source, axes: _Axes, in_cloud: bool) -> Iterator[dict[str,
 
 def _lines(name: str, poses: Float64, axes: _Axes) -> dict[str, Any]:
     steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
-    parts = np.split(poses, np.flatnonzero(steps > BREAK_M) + 1)
+    parts = np.split(poses, np.flatnonzero(steps > PATH_BREAK_M) + 1)
     lines = [axes.of_poses(part) for part in parts]
     lines = [line if len(line) > 1 else line * 2 for line in lines]  # a line needs two points
     return _feature("MultiLineString", lines, name=name, poses=len(poses))

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MissingDependency
+from ...geometry import PATH_BREAK_M
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
-BREAK_M = 35.0
-"""Poses of a path farther apart are not connected [m]."""
 GREEN, RED, ORANGE, BLUE = "#12a150", "#e5243b", "#f0883e", "#2e62d6"
 """Correct; false; query or rejected; truth."""
 DARK, PATH, GREY, PALE = "#3f4756", "#7d8aa0", "#c3c9d4", "#e6e9ef"
@@ -156,7 +155,7 @@ def draw_path(axes: Axes, path: Any, **style: Any) -> None:
     """Draw a path (N, 2) from above, with gaps where it jumps; nothing if it is empty."""
     if not len(path):
         return
-    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > BREAK_M) + 1
+    jumps = np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > PATH_BREAK_M) + 1
     axes.plot(*np.insert(path, jumps, np.nan, axis=0).T, lw=1.2, zorder=1, **style)
 
 

@@ -15,7 +15,6 @@ from ...map.georeference import Georeference
 from ...map.segment_map import SegmentMap
 from ...types import Float32, Float64, Pose
 from .pictures import (
-    BREAK_M,
     GREEN,
     HEIGHTS,
     MAGENTA,
@@ -103,7 +102,7 @@ class MapScene:
         """Draw drives as lines, and viewpoints chosen in a cloud or plan as points."""
         path, driven = self.local(self._map.trajectory[:, :3, 3]), self._map.is_driven
         pairs = np.stack([path[:-1], path[1:]], axis=1)
-        near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < BREAK_M
+        near = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1) < geometry.PATH_BREAK_M
         near &= driven[:-1] & driven[1:]
         self.lines("trajectory", "/map/trajectory", pairs[near], MAGENTA, 0.3)
         chosen = path[~driven]
