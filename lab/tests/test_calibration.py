@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
-from segloc_lab.calibration import known
+from segloc_lab.calibration import judge, known
 from segloc_lab.calibration.posterior import (
     FEATURES,
     KEPT,
@@ -18,7 +21,7 @@ from segloc_lab.calibration.posterior import (
     records_of,
     without_ground,
 )
-from segloc_lab.calibration.rows import ALIGNED, ROUGH, Rows
+from segloc_lab.calibration.rows import ALIGNED, HOME, ROUGH, Rows
 from segloc_lab.calibration.worlds import (
     MAX_THINNED,
     QuerySet,
@@ -28,9 +31,10 @@ from segloc_lab.calibration.worlds import (
     simulated,
     write_world,
 )
-from segloc_lab.protocols import wrong_maps
+from segloc_lab.protocols import degenerate, one_number, wrong_maps
 from segloc_lab.protocols.wrong_maps import parts
 from segloc_lab.report import entries
+from segloc_lab.simulation.bare_views import VIEWS
 
 from segloc import Config
 from segloc.likelihood import shipped_model
@@ -107,23 +111,59 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
     assert np.array_equal(decisions.right, ~decisions.false)
 
 
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("calibration") / "worlds"
+    for name, seed in (("offices", 2), ("warehouse", 3)):
+        write_world(simulated(name, seed, 24.0), folder / f"{name}-{seed}", Config(threads=1))
+    return folder
+
+
+@pytest.mark.slow
+def test_answers_in_worlds_are_reported(
+    worlds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(study: ModuleType, *words: str) -> tuple[list[dict[str, Any]], str]:
+        name = study.__name__.rsplit(".", 1)[1]
+        out, report = tmp_path / f"{name}.jsonl", tmp_path / name
+        words = (*words, "--out", str(out), "--report", str(report))
+        monkeypatch.setattr(sys, "argv", [name, *words])
+        study.main()
+        return entries(out), (report / "REPORT.md").read_text("utf-8")
+
+    several = shutil.copytree(worlds, tmp_path / "worlds")  # one world is lost in two others
+    write_world(simulated("offices", 4, 24.0), several / "offices-4", Config(threads=1))
+    found, report = run(judge, str(several), "--every", "3")
+    answers = judge.flat(found)
+    whole = [a for a in answers if a["made"] in judge.WHOLE]
+    home = [a["outcome"] for a in whole if a["map"] in HOME]
+    assert f"| {home.count('found')} of {len(home)} |" in report
+    assert f"| {sum(a['outcome'] == 'false' for a in whole)} of {len(whole)} |" in report
+    compared, report = run(one_number, str(several), "--every", "3")
+    both = [a for each in compared for a in each["found"]]
+    accepted = sum(a["reason"] is None for a in both)
+    assert f"| all | {len(both)} | {accepted} |" in report
+    assert len(both) == len(answers)
+    assert accepted == sum(a["localized"] for a in answers)  # one door
+    views, report = run(degenerate, *map(str, worlds.glob("*/own.segmap")), "--each", "1")
+    count = sum(len(each["answers"]) for each in views)
+    assert count == 2 * len(VIEWS) and f"| all | {count} | 0 |" in report
+
+
 @pytest.mark.slow
 def test_queries_are_counted_in_their_own_and_in_other_maps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    worlds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = Config(threads=1)
-    for name, seed in (("offices", 2), ("warehouse", 3)):
-        write_world(simulated(name, seed, 24.0), tmp_path / "worlds" / f"{name}-{seed}", config)
     out = tmp_path / "kept.jsonl"
-    monkeypatch.setattr(sys, "argv", ["wrong_maps", str(tmp_path / "worlds"), "--out", str(out)])
+    monkeypatch.setattr(sys, "argv", ["wrong_maps", str(worlds), "--out", str(out)])
     wrong_maps.main()
     records = entries(out)
-    assert len(records) == len(parts(generated(tmp_path / "worlds"))) == 4
+    assert len(records) == len(parts(generated(worlds))) == 4
     kept = out.read_text("utf-8").splitlines()
     out.write_text("\n".join(kept[:-1]) + "\n", "utf-8")  # interrupted
     wrong_maps.main()
     assert [{**r, "seconds": 0} for r in entries(out)] == [{**r, "seconds": 0} for r in records]
-    queries = sum(len(each) for each in load_queries(tmp_path / "worlds/offices-2/queries.npz"))
+    queries = sum(len(each) for each in load_queries(worlds / "offices-2/queries.npz"))
     rows = {
         row[0]: dict(zip(wrong_maps.COLUMNS, row, strict=True)) for row in wrong_maps.table(records)
     }

@@ -49,5 +49,33 @@ def test_pages_link_only_to_the_newest_report_of_a_topic() -> None:
             assert newest.get(topic) == _numbers(version), f"{page.name}: {version}-{topic}"
 
 
+def test_figures_of_the_readme_are_in_the_reports_that_it_names() -> None:
+    """As they are, in one row of a table, or as the sum of a row."""
+    found = 0
+    for line in (PROJECT / "README.md").read_text("utf-8").splitlines():
+        named = re.findall(r"\((reports/[^)#]+\.md)", line)
+        rows = [row for path in named for row in _plain((PROJECT / path).read_text("utf-8"))]
+        for figure in _shares(_plain(line)[0]) if named else ():
+            found += 1
+            assert any(_holds(row, *figure) for row in rows), f"{figure} in {named}"
+    assert found > 5
+
+
+def _plain(text: str) -> list[str]:
+    """Lines without thousands' spaces and links."""
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    return re.sub(r"(?<=\d) (?=\d{3}\b)", "", text).splitlines()
+
+
+def _shares(line: str) -> list[tuple[int, int]]:
+    return [(int(n), int(m)) for n, m in re.findall(r"\b(\d+) of (\d+)\b", line)]
+
+
+def _holds(row: str, hits: int, of: int) -> bool:
+    shares = _shares(row)
+    total = tuple(map(sum, zip(*shares, strict=True)))
+    return {str(hits), str(of)} <= set(re.findall(r"\d+", row)) or total == (hits, of)
+
+
 def _numbers(version: str) -> tuple[int, ...]:
     return tuple(map(int, version.split(".")))

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import json
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -223,10 +225,16 @@ class Judge:
 
 
 def rows(records: list[dict[str, Any]]) -> list[tuple[str | int, ...]]:
-    """Return one row per set of queries."""
+    """Return one row per set of queries, and of the sessions of one place together."""
+    sets, places = defaultdict(list), defaultdict(list)
+    for r in records:
+        sets[r["queries"]].append(r)
+    for name, answers in sets.items():
+        place, _, way = name.partition(", ")
+        places[f"{place.split()[0]}, {way}"].append(answers)
+    together = {name: [*chain(*each)] for name, each in places.items() if len(each) > 1}
     found: list[tuple[str | int, ...]] = []
-    for name in dict.fromkeys(r["queries"] for r in records):
-        here = [r for r in records if r["queries"] == name]
+    for name, here in (*sets.items(), *together.items()):
         near = [r for r in here if r["within_coverage"]]
         far = [r for r in here if not r["within_coverage"]]
         right = sum(r["outcome"] == "found" for r in near)
