@@ -28,7 +28,7 @@ from .types import Candidate, Float64, LocalCloud, Pose
 
 _DEVIATIONS = 2.0
 """Tolerances of a map by which a point on a wall may be farther off. Chosen for plans, and judged
-2026-11-28 on simulated clouds without ground (two parks, a town, an industrial site, a forest; noise
+2026-11-28 on simulated clouds without ground (two parks, a town, a factory, a forest; noise
 of 0.2 m, or of 0.1 m and two sessions 0.3 m apart): by 0, 1, 2 and 3 of them 148, 156, 158 and 159
 of 160 scans were found, 0 of 480 elsewhere and in mirror images, where the highest log-ratio was
 0.0, 2.3, 3.3 and 3.9 of the 4.6 that are accepted."""
