@@ -98,17 +98,8 @@ class Config(BuildConfig):
 
 
 def map_config(prior_map: SegmentMap) -> Config:
-    """Return the configuration of a map, except threads and the sensor's mount.
-
-    In the map of a plan points of walls may be farther off, by twice the tolerance of the plan.
-    """
-    config = stored_config(prior_map, Config)
-    tolerance = plan_tolerance_m(prior_map.metadata)
-    if not tolerance:
-        return config
-    offset = config.verification.flush_offset + 2 * tolerance
-    verification = config.verification.model_copy(update={"flush_offset": offset})
-    return config.model_copy(update={"verification": verification})
+    """Return the configuration of a map, except threads and the sensor's mount."""
+    return stored_config(prior_map, Config)
 
 
 def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, tuple[str, ...]]:

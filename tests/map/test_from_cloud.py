@@ -14,6 +14,7 @@ from samples.walk import run
 from scipy.spatial.transform import Rotation
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
+from segloc.config import map_config
 from segloc.likelihood import shipped_model
 from segloc.map import voxel_cloud
 from segloc.map.corridors import between_surfaces
@@ -51,6 +52,26 @@ def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> No
     assert max(errors) < 0.5
     assert site.metadata["source"] == "cloud"
     assert site.has_ground and Localizer(site).likelihood.model is shipped_model()
+
+
+def test_scans_are_on_walls_that_are_as_thick_as_those_of_the_cloud(
+    site: SegmentMap, plaza: Plaza
+) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.2, plaza.points.shape)
+    thick = SegmentMap.from_cloud(plaza.points + noise, CONFIG)
+    early = SegmentMap.from_cloud(plaza.points + noise, CONFIG)
+    del early.metadata["thickness_m"]  # as those of 0.3.0
+    walk = PlazaSequence(plaza, 6, posed=False)
+
+    def log_ratios(mapped: SegmentMap) -> Float64:
+        localizer = Localizer(mapped, CONFIG)
+        scene = localizer.describe(walk.scan(2)).scene
+        compared = localizer.likelihood.compared(localizer.likelihood.query(scene), walk.poses[2:3])
+        return np.array([place.log_ratio for place in compared.places])
+
+    assert log_ratios(thick).max() > log_ratios(early).max() + 1
+    assert ", walls 0.1" in str(thick.info())
+    assert Localizer(site).likelihood.config == map_config(site).verification
 
 
 def test_utm_coordinates_keep_centimetres(plaza: Plaza) -> None:

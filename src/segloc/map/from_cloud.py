@@ -36,8 +36,18 @@ from .cloud_frame import (
 from .compact import compacted
 from .config import BuildConfig, checked_build_config
 from .corridors import between_surfaces
-from .info import BETWEEN, CLOUD, CLOUD_FRAME, GROUND, NO_GROUND, SOURCE, VIEWPOINTS
+from .info import (
+    BETWEEN,
+    CLOUD,
+    CLOUD_FRAME,
+    GROUND,
+    NO_GROUND,
+    SOURCE,
+    THICKNESS,
+    VIEWPOINTS,
+)
 from .segment_map import SegmentMap
+from .thickness import thickness_m
 from .viewpoints import (
     AROUND_M,
     SPACING_M,
@@ -463,7 +473,9 @@ class _Builder:
         used = config.model_copy(update={"threads": 0})
         built.metadata |= {SOURCE: CLOUD, SPACING: f"{cloud.spacing():.2f}"}
         built.metadata |= {"config": used.to_yaml(), **self._frame}
-        return compacted(built, config.mapping.compact)
+        built = compacted(built, config.mapping.compact)
+        built.metadata[THICKNESS] = f"{thickness_m(built.cloud):.3f}"
+        return built
 
 
 def _check_trajectory(trajectory: ArrayLike) -> Float64:

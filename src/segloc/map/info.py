@@ -13,6 +13,9 @@ SOURCE, CLOUD, PLAN = "source", "cloud", "plan"
 TOLERANCE = "tolerance_m"
 """Key of the metadata: how far a building may be off its plan [m]."""
 MAX_TOLERANCE_M = 0.5
+THICKNESS, SHARP_M = "thickness_m", 0.08
+"""Key of the metadata: how thick the walls of a finished cloud are [m], and how thick those of maps
+of recordings are at most."""
 CLOUD_FRAME = "T_map_cloud"
 """Key of the metadata: transform from the frame of a finished cloud that was levelled."""
 VIEWPOINTS, LATTICE, BETWEEN = "viewpoints", "lattice", "between"
@@ -33,10 +36,23 @@ def plan_tolerance_m(metadata: Mapping[str, str]) -> float | None:
 
     It is 0 if it cannot be read, as when maps of different tolerances were merged.
     """
-    if PLAN not in metadata.get(SOURCE, ""):
-        return None
+    return _metres(metadata, TOLERANCE) if PLAN in metadata.get(SOURCE, "") else None
+
+
+def tolerance_m(metadata: Mapping[str, str]) -> float:
+    """Return how much farther off the map's walls a scan may be than in the map of a recording [m].
+
+    As a building may be off its plan, or as the walls of a finished cloud are thicker.
+    """
+    tolerance = plan_tolerance_m(metadata)
+    if tolerance is None:
+        tolerance = max(_metres(metadata, THICKNESS) - SHARP_M, 0.0)
+    return tolerance
+
+
+def _metres(metadata: Mapping[str, str], key: str) -> float:
     try:
-        metres = float(metadata.get(TOLERANCE, ""))
+        metres = float(metadata.get(key, ""))
     except ValueError:
         return 0.0
     return metres if 0 < metres <= MAX_TOLERANCE_M else 0.0
@@ -58,7 +74,10 @@ class MapInfo(dict[str, Any]):
         ]
         if CLOUD in metadata.get(SOURCE, ""):
             spacing = metadata.get("cloud_spacing_m", "unknown")
-            rows.append(("made from", f"a cloud, points {spacing[:_MAX_TEXT]} m apart"))
+            text = f"a cloud, points {spacing[:_MAX_TEXT]} m apart"
+            if thickness := _metres(metadata, THICKNESS):
+                text += f", walls {thickness:g} m thick"
+            rows.append(("made from", text))
         if (off := plan_tolerance_m(metadata)) is not None:
             rows.append(("made from", f"a plan, as built within {off:g} m (experimental)"))
         if frame := metadata.get("frame"):
