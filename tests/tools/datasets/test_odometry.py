@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,10 +184,35 @@ def moved(*ways: float) -> list[Float64]:
 def test_odometry_that_was_lost_is_an_error(
     poses: list[Float64], fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scan_odometry, "_kiss_icp", lambda max_range_m: Fake(poses))
+    monkeypatch.setattr(scan_odometry, "_kiss_icp", lambda *_: Fake(poses))
     recording = Run(len(poses))
     with pytest.raises(DatasetError, match=rf"scan \d: odometry is lost: .*{fault}"):
         lidar_odometry(recording)
+
+
+def test_voxels_follow_a_robot_out_of_a_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("kiss_icp")
+    voxels, make = list[float](), scan_odometry._kiss_icp
+
+    def counted(max_range_m: float, voxel_m: float) -> Any:
+        voxels.append(voxel_m)
+        return make(max_range_m, voxel_m)
+
+    monkeypatch.setattr(scan_odometry, "_kiss_icp", counted)
+    odometry, rng = scan_odometry.ScanOdometry(), np.random.default_rng(0)
+    sides = np.repeat([[5.0, 4.0, 2.5], [60.0, 50.0, 12.0]], 3000, axis=0)
+    for k in range(50):
+        points = rng.uniform(-0.5, 0.5, (6000, 3))
+        axis = rng.integers(0, 3, 6000)
+        points[np.arange(6000), axis] = rng.choice([-0.5, 0.5], 6000)
+        outside = min(max((k - 10) / 20, 0.0), 1.0)
+        seen = rng.uniform(size=6000) < np.where(np.arange(6000) < 3000, 1 - outside, outside)
+        T = geometry.yaw_transform(0.01 * k, (0.05 * k, 0.0, 0.0))
+        pose, _ = odometry.add(Scan(geometry.transform(np.linalg.inv(T), (points * sides)[seen])))
+        assert np.linalg.norm(pose[:3, 3] - T[:3, 3]) < 0.1
+        assert geometry.rotation_angle(np.linalg.inv(pose) @ T) < np.radians(1.5)
+    indoors, outdoors = voxels[1], voxels[-1]
+    assert indoors < 0.4 and outdoors == 1.0
 
 
 def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
