@@ -36,4 +36,5 @@ def query_over_map(
     query = geometry.transform(T_map_local, structure)[:, :2]
     for points, colour, size, label in ((cloud, GREY, 0.3, "map"), (query, ORANGE, 0.6, "query")):
         near = np.abs(points - middle).max(axis=1) < around_m
-        axes.scatter(*points[near].T, s=size, color=colour, label=label, linewidths=0)
+        x, y = points[near].T
+        axes.scatter(x, y, s=size, color=colour, label=label, linewidths=0)
