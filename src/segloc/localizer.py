@@ -13,6 +13,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
+from .likelihood.observation import MapCloud
 from .localization import Localization
 from .map.info import tolerance_m
 from .map.segment_map import SegmentMap
@@ -312,21 +313,30 @@ def proposers_of(
 
 
 def likelihood_of(prior_map: SegmentMap, config: Config) -> Likelihood:
-    """Return the likelihood of the map's own cloud.
+    """Return the likelihood of the map's own cloud."""
+    return Likelihood(
+        cloud_of(prior_map, config),
+        config.verification,
+        separation=config.pose.separation,
+        model=shipped_model(ground=prior_map.has_ground),
+    )
+
+
+def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
+    """Return the map's own cloud, preprocessed for comparison with query clouds.
 
     A point is on a wall that is farther off by twice the tolerance of the map.
     """
     viewpoints, verification = prior_map.trajectory[:, :3, 3], config.verification
     offset = verification.flush_offset + _DEVIATIONS * tolerance_m(prior_map.metadata)
-    return Likelihood(
+    return MapCloud(
         prior_map.cloud,
         prior_map.origin,
         verification.model_copy(update={"flush_offset": offset}),
-        separation=config.pose.separation,
-        threads=config.threads,
-        storeyed=is_storeyed(viewpoints - prior_map.origin),
-        path=prior_map.sensor_positions,
-        model=shipped_model(ground=prior_map.has_ground),
+        config.pose.separation,
+        config.threads,
+        is_storeyed(viewpoints - prior_map.origin),
+        prior_map.sensor_positions,
     )
 
 

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 from segloc import _native, geometry
 from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
-from segloc.likelihood import Count, Likelihood, Posterior
+from segloc.likelihood import Count, Likelihood, Posterior, VerificationConfig
 from segloc.likelihood.nearby import NearbyConfig, NearbySearch
 from segloc.likelihood.next_view import next_view
-from segloc.likelihood.observation import close_surface
+from segloc.likelihood.observation import MapCloud, close_surface
 from segloc.localization import Reason
 from segloc.types import Candidate, Float32, LocalCloud, Pose
 
@@ -149,7 +149,8 @@ def test_a_place_one_period_off_is_found_from_its_alias() -> None:
 
 
 def posterior(cloud: Float32, seen: Float32, candidate: Candidate) -> Posterior:
-    likelihood = Likelihood(cloud, np.zeros(3), path=np.zeros((1, 3)))
+    config, apart = VerificationConfig(), Separation()
+    likelihood = Likelihood(MapCloud(cloud, np.zeros(3), config, apart, 0, False, np.zeros((1, 3))))
     scorer = likelihood.scorer(likelihood.query(scene(seen)))
     scorer.add([candidate], lambda _: candidate.inliers)
     return scorer.measure(thorough=True)

@@ -277,7 +277,7 @@ class MapCloud:
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
         self.storeyed, self._path = storeyed, path - origin
-        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
+        self._aligner = Aligner.of(config, threads)
         index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
         self._target = Target(
             self._aligner.surface(cloud, target=True), index, config.unmapped_overlap

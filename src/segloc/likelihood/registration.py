@@ -134,6 +134,23 @@ class Registered(Aligned):
     shift_m: float
 
 
+class IcpConfig(Protocol):
+    """Settings of an aligner.
+
+    Attributes
+    ----------
+    icp_voxel : float
+        Voxel size of clouds [m].
+    icp_max_correspondence : float
+        Maximum correspondence distance [m].
+    """
+
+    @property
+    def icp_voxel(self) -> float: ...
+    @property
+    def icp_max_correspondence(self) -> float: ...
+
+
 class Source(Protocol):
     """A source cloud of alignments.
 
@@ -190,6 +207,11 @@ class Aligner:
     def __init__(self, voxel: float, max_correspondence: float, threads: int = 0) -> None:
         self._voxel, self._threads = voxel, threads
         self._max_correspondence = max_correspondence
+
+    @classmethod
+    def of(cls, config: IcpConfig, threads: int) -> Aligner:
+        """Return the aligner of a configuration."""
+        return cls(config.icp_voxel, config.icp_max_correspondence, threads)
 
     def surface(self, points: Float32, *, target: bool = False) -> _native.Surface:
         """Preprocess a cloud (N, 3) for alignment; reusable. One that is only a target is tiled."""

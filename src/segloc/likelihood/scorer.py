@@ -11,7 +11,8 @@ import numpy as np
 
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
-from ..types import Bools, Candidate, Float32, Float64, Pose
+from ..types import Bools, Candidate, Float64, Pose
+from .clouds import Clouds
 from .config import VerificationConfig
 from .model import (
     Model,
@@ -22,7 +23,7 @@ from .model import (
     shipped_model,
     walls_over,
 )
-from .observation import Aligned, MapCloud, Observation, QueryCloud
+from .observation import Aligned, Observation, QueryCloud
 from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
@@ -45,42 +46,26 @@ class Likelihood:
 
     Parameters
     ----------
-    cloud : (N, 3) float32
-        Voxelised cloud of the map, relative to ``origin``.
-    origin : (3,) float64
-        Origin of the cloud in map coordinates.
+    cloud : Clouds
+        Cloud of the map, or those of its tiles.
     config : VerificationConfig, optional
     separation : Separation, optional
         Separation of distinct places.
-    threads : int
-        0 is all cores; results do not depend on it.
-    storeyed : bool
-        True if the map has several storeys.
-    path : (M, 3) float64
-        Positions of the mapping sensor, in map coordinates.
     model : Model, optional
         By default the shipped one.
-
-    Attributes
-    ----------
-    model : Model
     """
 
     def __init__(
         self,
-        cloud: Float32,
-        origin: Float64,
+        cloud: Clouds,
         config: VerificationConfig | None = None,
         *,
         separation: Separation | None = None,
-        threads: int = 0,
-        storeyed: bool = False,
-        path: Float64,
         model: Model | None = None,
     ) -> None:
+        self.cloud = cloud
         self.config, self.model = config or VerificationConfig(), model or shipped_model()
         self.separation = separation or Separation()
-        self.cloud = MapCloud(cloud, origin, self.config, self.separation, threads, storeyed, path)
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """Preprocess a query's cloud for comparison with the map; reusable."""

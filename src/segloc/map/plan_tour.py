@@ -18,19 +18,17 @@ from scipy.spatial import cKDTree
 
 from .. import _native
 from ..types import Float32, Float64, Int64
+from .viewpoints import HEADROOM_M, MAX_CLEARANCE_M, STOREY_M
 
 SPACING_M, STEP_M = 3.0, 1.5
 """Distance over the floor within which a viewpoint lies, and between two on the way [m]."""
 _CELL_M, _MAX_COLUMNS = 0.25, 4_000_000
-_HEADROOM_M = 0.4  # above the sensor
 _BESIDE_M = 0.3  # to walls: a robot fits through a doorway of 0.8 m
 _LEGS_M = 0.5  # height over the floor that must be free, too
 _LEVEL = 0.94  # cosine of the steepest floor, 20 degrees
 _RISE_M = 0.1  # between cells of one floor; stairs rise more
 _MIN_AREA_M2 = 1.0  # of connected free floor, less the strip along its walls
-_STOREY_M = 1.5
 _FAR_M = 50.0
-_MAX_CLEARANCE_M = 8.0
 _DIRECTIONS = 16
 _MIN_WALLS = 0.2  # share of the horizontal rays that meet something; roofs have none
 _INSIDE = 0.9  # share of back faces in view from within a solid
@@ -172,11 +170,11 @@ def free_floors(mesh: PlanMesh, sensor_height_m: float) -> list[Floor]:
     sensor_height_m : float
         Height of the viewpoints over the floor.
     """
-    places, edge = _floor(mesh, sensor_height_m + _HEADROOM_M)
+    places, edge = _floor(mesh, sensor_height_m + HEADROOM_M)
     legs = places + [0.0, 0.0, min(_LEGS_M, sensor_height_m)]
     places = places[_clearance(mesh, legs, 2 * _BESIDE_M) > _BESIDE_M]
     eyes = places + [0.0, 0.0, sensor_height_m]
-    clearance = _clearance(mesh, eyes, _MAX_CLEARANCE_M)
+    clearance = _clearance(mesh, eyes, MAX_CLEARANCE_M)
     eyes, clearance = eyes[clearance > _BESIDE_M], clearance[clearance > _BESIDE_M]
     if not len(eyes):
         return []
@@ -192,7 +190,7 @@ def storeys(floors: list[Floor]) -> Iterator[list[Floor]]:
     storey: list[Floor] = []
     for floor in floors:
         height = float(np.median(floor.eyes[:, 2]))
-        if storey and height - float(np.median(storey[0].eyes[:, 2])) > _STOREY_M:
+        if storey and height - float(np.median(storey[0].eyes[:, 2])) > STOREY_M:
             yield storey
             storey = []
         storey.append(floor)

@@ -22,12 +22,15 @@ CELL_M, STEP_M = 0.5, 0.3
 """Cells of the ground, and the step between two of them that a sensor can take [m]."""
 SPACING_M = 8.0
 """Distance between viewpoints in sight of each other [m]."""
-_HEADROOM_M = 0.4  # above the sensor
+HEADROOM_M = 0.4
+"""Least free space above a sensor [m]."""
 _MIN_AREA_M2, _MAX_MIN_AREA_M2, _MIN_AREA_SHARE = 6.0, 30.0, 0.05  # of connected ground
-_MAX_CLEARANCE_M = 8.0
+MAX_CLEARANCE_M = 8.0
+"""Room around a viewpoint counts up to this distance [m]."""
 _MIN_NEIGHBOURS = 7  # of 8, around a cell of ground that has room
 _SAME_M = 2.0  # ground nearer than this needs no viewpoint of its own, even if it is out of sight
-_STOREY_M = 1.5
+STOREY_M = 1.5
+"""Ground that is higher or lower by more is of another storey [m]."""
 AROUND_M = 8.0
 """Horizontal distance within which walls about a place are counted [m]."""
 _BAND_M, _SPARE_CELLS = (1.0, 2.0), 8
@@ -53,7 +56,7 @@ def tops(points: Float32, sensor_height_m: float) -> Float64:
     order = np.lexsort((points[:, 2], cells[:, 0], cells[:, 1]))
     cells, z = cells[order], points[order, 2].astype(np.float64)
     ends = (np.diff(cells, axis=0, append=cells[-1:] + 1) != 0).any(axis=1)
-    room = ends | (np.diff(z, append=np.inf) > sensor_height_m + _HEADROOM_M)
+    room = ends | (np.diff(z, append=np.inf) > sensor_height_m + HEADROOM_M)
     return np.column_stack([(cells[room] + 0.5) * CELL_M, z[room]])
 
 
@@ -89,7 +92,7 @@ class Ground:
         areas = np.bincount(label) * CELL_M**2
         least = np.clip(_MIN_AREA_SHARE * areas.max(), _MIN_AREA_M2, _MAX_MIN_AREA_M2)
         depth, inside = np.zeros(count), areas[label] >= least
-        for _ in range(int(_MAX_CLEARANCE_M / CELL_M)):
+        for _ in range(int(MAX_CLEARANCE_M / CELL_M)):
             linked = pairs[inside[pairs].all(axis=1)]
             inside = np.bincount(linked.ravel(), minlength=count) >= _MIN_NEIGHBOURS
             depth += inside
@@ -214,7 +217,7 @@ class Uncovered:
         assert self._tree is not None
         near = np.array(self._tree.query_ball_point(self._eyes[place], radius), np.int64)
         rise = np.abs(self._eyes[near, 2] - self._eyes[place, 2])
-        return np.asarray(near[rise < _STOREY_M])
+        return np.asarray(near[rise < STOREY_M])
 
     def _slope(self, place: int) -> Float64:
         """How the ground about a place rises along x and y."""

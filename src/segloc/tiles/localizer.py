@@ -23,7 +23,7 @@ from ..proposals.proposer import Estimator, Query
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
-from .pieces import MAX_ALL, SEGMENT_BYTES, Pieces, TiledLikelihood, TiledOccupancy
+from .pieces import MAX_ALL, SEGMENT_BYTES, Pieces, TiledOccupancy, tiled_likelihood
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
@@ -248,7 +248,7 @@ class TiledLocalizer(Localizer):
                     config,
                     estimator=self.estimator,
                     proposers=proposers_of(part, config, occupancy),
-                    likelihood=TiledLikelihood(self._pieces, chosen, ground=part.has_ground),
+                    likelihood=tiled_likelihood(self._pieces, chosen, ground=part.has_ground),
                     clock=self.clock,
                 )
 

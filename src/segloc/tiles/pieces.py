@@ -16,7 +16,7 @@ from ..likelihood.nearby import Surroundings
 from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud
 from ..likelihood.registration import Aligner
 from ..localization import NextView
-from ..localizer import likelihood_of
+from ..localizer import cloud_of
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..proposals.matching import Matcher
@@ -61,7 +61,7 @@ class Pieces:
         """
 
         def make(part: SegmentMap) -> MapCloud:
-            return likelihood_of(part, self.config).cloud
+            return cloud_of(part, self.config)
 
         return self._recent(tile, make, lambda part, _: _POINT_BYTES * len(part.voxel_cloud))
 
@@ -112,15 +112,12 @@ class TiledQuery(QueryCloud):
     """A query's cloud, and the clouds of the tiles with which it was compared."""
 
     def __init__(self, scene: Segmentation, config: Config) -> None:
-        verification = config.verification
-        aligner = Aligner(
-            verification.icp_voxel, verification.icp_max_correspondence, config.threads
-        )
-        super().__init__(scene, verification, aligner)
+        aligner = Aligner.of(config.verification, config.threads)
+        super().__init__(scene, config.verification, aligner)
         self.clouds: dict[Tile, MapCloud] = {}  # kept for the query, whatever the memory
 
 
-class TiledCloud(MapCloud):
+class TiledCloud:
     """Clouds of tiles as one: each pose is compared with the cloud of its tile.
 
     Parameters
@@ -180,21 +177,14 @@ class TiledCloud(MapCloud):
         return self._pieces.index.nearest(np.stack([T[:3, 3] for T in poses]), self._tiles)
 
 
-class TiledLikelihood(Likelihood):
-    """Compares queries with the clouds of tiles.
-
-    Parameters
-    ----------
-    pieces : Pieces
-    tiles : sequence of Tile
-    ground : bool
-        Whether they have ground.
-    """
-
-    def __init__(self, pieces: Pieces, tiles: Sequence[Tile], *, ground: bool) -> None:
-        self.config, self.model = pieces.config.verification, shipped_model(ground=ground)
-        self.separation = pieces.config.pose.separation
-        self.cloud = TiledCloud(pieces, tiles)
+def tiled_likelihood(pieces: Pieces, tiles: Sequence[Tile], *, ground: bool) -> Likelihood:
+    """Return the likelihood of the clouds of tiles, which have ``ground`` or not."""
+    return Likelihood(
+        TiledCloud(pieces, tiles),
+        pieces.config.verification,
+        separation=pieces.config.pose.separation,
+        model=shipped_model(ground=ground),
+    )
 
 
 class TiledOccupancy:

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from segloc import Config, Localizer, SegmentMap, geometry
+from segloc.tools.inspect import DARK, RED, blank, legend, png
+from segloc.types import Float32, Pose
 
-from segloc import Config, Localizer, geometry
-from segloc.tools.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
-from segloc.types import Float64, Pose
-
+from ..pictures import query_over_map
 from ..report import entries
 from ..script import parser
 from .judge import flat
@@ -35,17 +34,19 @@ class Drawn:
     ----------
     answer : dict
         Its row.
-    cloud, query : (N, 2), (M, 2) float64
-        Points of the map, and of the query above ground at the answered pose, in the map's frame.
-    T_map_sensor : (4, 4) float64
-        Answered pose.
+    prior_map : SegmentMap
+    structure : (N, 3) float32
+        Points of the query above ground, in the local frame.
+    T_map_local, T_map_sensor : (4, 4) float64
+        Answered poses.
     truth : (4, 4) float64 or None
         True pose, if the map holds it.
     """
 
     answer: dict[str, Any]
-    cloud: Float64
-    query: Float64
+    prior_map: SegmentMap
+    structure: Float32
+    T_map_local: Pose
     T_map_sensor: Pose
     truth: Pose | None
 
@@ -57,16 +58,15 @@ def false_answers(world: World, answers: list[dict[str, Any]], config: Config) -
     places = {name: Localizer(world.maps[of], config) for name, of in maps.items()}
     for answer in answers:
         made, localizer = queries[answer["query"]], places[answer["map"]]
-        prior_map = localizer.prior_map
         query = localizer.describe(made.scans)
         found = localizer.locate(query)
         if found.T_map_sensor is None:
             raise SystemExit(f"{world.name}, query {answer['query']}: refused by this code")
-        T_map_local = found.T_map_sensor @ geometry.inverse(query.cloud.T_local_sensor)
         yield Drawn(
             answer,
-            (prior_map.cloud + prior_map.origin)[:, :2].astype(np.float64),
-            geometry.transform(T_map_local, query.scene.structure)[:, :2],
+            localizer.prior_map,
+            query.scene.structure,
+            found.T_map_sensor @ geometry.inverse(query.cloud.T_local_sensor),
             found.T_map_sensor,
             made.truth if answer["map"] in HOME else None,
         )
@@ -79,11 +79,8 @@ def draw(found: list[Drawn]) -> bytes:
     figure = blank((_PANEL_IN * columns, _PANEL_IN * rows), 110, layout="constrained")
     for axes, each in zip(figure.subplots(rows, columns, squeeze=False).flat, found, strict=False):
         middle = each.T_map_sensor[:2, 3]
-        plan(axes, middle - _AROUND_M, middle + _AROUND_M)
-        layers = ((each.cloud, GREY, 0.3, "map"), (each.query, ORANGE, 0.6, "query as answered"))
-        for points, colour, size, label in layers:
-            near = np.abs(points - middle).max(axis=1) < _AROUND_M
-            axes.scatter(*points[near].T, s=size, color=colour, label=label, linewidths=0)
+        placed = each.prior_map, each.structure, each.T_map_local
+        query_over_map(axes, *placed, middle, _AROUND_M)
         axes.plot(*middle, "o", color=RED, ms=5, label="sensor as answered")
         if each.truth is not None:
             axes.plot(*each.truth[:2, 3], "+", color=DARK, ms=9, label="sensor in truth")

@@ -14,10 +14,11 @@ from segloc import geometry
 from segloc.errors import DatasetError
 from segloc.pipeline import Search
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
-from segloc.tools.inspect import DARK, GREY, ORANGE, RED, blank, legend, plan, png
+from segloc.tools.inspect import DARK, RED, blank, legend, png
 from segloc.types import Float64, LocalCloud, Matches, Pose
 
 from ..outcomes import TOLERANCE
+from ..pictures import query_over_map
 
 if TYPE_CHECKING:
     from segloc.frontend import Segmentation
@@ -250,25 +251,20 @@ def draw_case(localizer: Localizer, sequence: Recording, case: Case, position: i
     middle = T[:2, 3]
     figure = blank((8.0, 8.4), 110)
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.93))
-    plan(axes, middle - _PICTURED_M, middle + _PICTURED_M)
     prior_map = localizer.prior_map
+    query_over_map(axes, prior_map, scene.structure, T, middle, _PICTURED_M)
+    rings = {"s": 46, "facecolors": "none", "edgecolors": RED}
     layers: tuple[tuple[Float64, dict[str, Any], str], ...] = (
+        (prior_map.centroids, {"s": 10, "color": DARK}, "segments of the map"),
         (
-            prior_map.cloud[:, :2] + prior_map.origin[:2],
-            {"s": 0.3, "color": GREY},
-            "cloud of the map",
-        ),
-        (geometry.transform(T, scene.segments.points)[:, :2], {"s": 0.6, "color": ORANGE}, ""),
-        (prior_map.centroids[:, :2], {"s": 10, "color": DARK}, "segments of the map"),
-        (
-            geometry.transform(T, scene.segments.centroids)[:, :2],
-            {"s": 46, "facecolors": "none", "edgecolors": RED},
+            geometry.transform(T, scene.segments.centroids),
+            rings,
             "segments of the query at the true pose",
         ),
     )
-    for points, style, label in layers:
-        near = np.abs(points - middle).max(axis=1) < _PICTURED_M if len(points) else slice(0)
-        axes.scatter(*points[near].T, label=label or None, **style)
+    for centroids, style, label in layers:
+        near = np.abs(centroids[:, :2] - middle).max(axis=1) < _PICTURED_M
+        axes.scatter(*centroids[near, :2].T, label=label, **style)
     legend(axes)
     title = f"{case.index}: {case.stage} ({case.segments} segments, {case.repeated} repeated, "
     figure.text(0.02, 0.965, f"{title}{case.matched} matched, {case.inliers} inliers)", fontsize=11)

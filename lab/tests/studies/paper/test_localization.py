@@ -10,7 +10,7 @@ import pytest
 from samples.tiny_suite import TINY
 from segloc_lab.evaluation import comparison, comparison_study
 from segloc_lab.evaluation.comparison import ready, shared_config
-from segloc_lab.evaluation.comparison_study import answered, summaries
+from segloc_lab.evaluation.comparison_study import answered
 from segloc_lab.evaluation.study import Study, Table
 from segloc_lab.simulation.suites import SUITES
 from segloc_lab.studies.paper import localization
@@ -69,23 +69,11 @@ def test_counts_are_those_of_the_package_itself(study: Study, workspace: Workspa
 
 @pytest.mark.slow
 def test_the_tables_count_what_was_answered(study: Study) -> None:
-    ours = table(study, "localizations-consensus")
-    assert ours.columns[-2:] == (METHOD, "profile")
-    ((name, kind, sensor, queries, places, *found),) = ours.rows
-    assert (name, kind, sensor) == ("tiny", "City park", "vlp16")
+    ((*_, queries, places, found, others),) = table(study, "localizations-consensus").rows
     assert queries == 8 and isinstance(places, int) and 3 <= places <= 8
-    assert all(isinstance(cell, int) and cell >= 4 for cell in found)
+    assert all(isinstance(cell, int) and cell >= 4 for cell in (found, others))
     for negatives in ("negatives-consensus", "negatives-published"):
-        assert table(study, negatives).rows == (("tiny", 8, 0, 0), ("all", 8, 0, 0))
-    details = table(study, "details")
-    assert {(row[1], row[2]) for row in details.rows} == {
-        (method, estimator) for method in (METHOD, "profile") for estimator in comparison.ESTIMATORS
-    }
-    assert table(study, "localizations-paper").source == "paper"
-    beside = table(study, "differences-consensus")
-    (_, n, *_), (name, others_n, alone, others, p) = beside.rows
-    assert (name, n - others_n) == (METHOD, alone - others)  # type: ignore[operator]
-    assert [n, others_n] == found[::-1] and 0 < float(str(p)) <= 1
+        assert table(study, negatives).rows[-1][1:] == (8, 0, 0)
 
 
 @pytest.mark.slow
@@ -111,17 +99,6 @@ def test_a_run_that_is_cut_off_goes_on_with_the_next_piece(
     assert found.answers == expected.answers
     for name, array in expected.arrays.items():
         np.testing.assert_array_equal(found.arrays[name], array)
-
-
-@pytest.mark.slow
-def test_false_answers_stand_in_brackets(study: Study, workspace: Workspace) -> None:
-    (result,) = answered(workspace, scenarios(workspace), ready((METHOD,)))
-    answers = result.answers[METHOD]["test_0"]["map"]["consensus"]
-    first = next(answer for answer in answers if answer["T_map_sensor"] is not None)
-    first["T_map_sensor"][3] += 30.0
-    rows = summaries([result], ready((METHOD,)), "consensus")
-    cell = next(rows).rows[0][-1]
-    assert isinstance(cell, str) and cell.endswith("(1)")
 
 
 def test_kitti_without_its_folders_is_one_line(tmp_path: Path) -> None:

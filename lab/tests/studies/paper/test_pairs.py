@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -123,19 +122,13 @@ def test_simulated_domains_hold_true_pairs(patched: pytest.MonkeyPatch, tmp_path
         making.simulated(tmp_path, "atlantis", "train", size)
 
 
-def test_roc_study(curves: Study, space: Workspace) -> None:
+def test_roc_study(curves: Study) -> None:
     areas = curves.tables[0]
     assert [row[0] for row in areas.rows] == list(METHODS)
     for domain in SIMULATED:
         values = cells(areas, TITLES[domain])
         assert values["geo"] > 0.8  # shapes of their own sizes
         assert all(0.3 < value <= 1 for value in values.values())
-    assert [figure.kind for figure in curves.figures] == ["roc"] * 3
-    assert all(len(x) == len(y) <= 200 for f in curves.figures for x, y in f.series.values())
-    assert {t.source for t in curves.tables} == {"segloc", "paper"}
-    curves.save(space.out / "roc")
-    stored = json.loads((space.out / "roc" / "study.json").read_text("utf-8"))
-    assert len(stored["tables"]) == len(curves.tables)
 
 
 def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:

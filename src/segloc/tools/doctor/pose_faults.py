@@ -162,7 +162,9 @@ _MIN_PAIRS = 3
 _SHARED_VIEW = 0.25
 """Scans of a narrow sensor are compared if turned by at most this share of its field of view."""
 _ASIDE_M = ((4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0))
-_ALIGN_M = 1.5
+ALIGN_M = 1.5
+ALIGNER = Aligner(_VOXEL_M, ALIGN_M, 1)
+"""Aligns two clouds of a recording; ALIGN_M is the maximum correspondence distance."""
 _MIN_GAIN, _MIN_SHARE = 0.08, 0.3  # of points that agree, and of those that disagree as is
 _UNRELATED = 0.2  # correct poses agree to at least 0.5, those of another drive to 0.06
 _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
@@ -267,8 +269,7 @@ def _fit(scans: tuple[int, int], target: Float32, source: Float32, steps: list[P
     def share(poses: list[Pose]) -> Float64:
         return index.overlap(sample, np.stack(poses), _NEAR_M)
 
-    aligner = Aligner(_VOXEL_M, _ALIGN_M, 1)
-    moved = aligner.align(aligner.surface(target), aligner.surface(source), steps[0])
+    moved = ALIGNER.align(ALIGNER.surface(target), ALIGNER.surface(source), steps[0])
     aligned = steps[0] if moved is None else moved.T_target_source
     off = geometry.inverse(steps[0]) @ aligned
     aside = [geometry.yaw_transform(0.0, (x, y, 0.0)) @ steps[0] for x, y in _ASIDE_M]

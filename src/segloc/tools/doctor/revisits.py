@@ -21,17 +21,16 @@ from ...errors import DatasetError
 from ...frontend.local_cloud import LocalCloudConfig
 from ...joining.same_place import MEET_HEIGHT_M, MEET_M
 from ...joining.shift import MAX_SHIFT_M, MAX_TURN_DEG
-from ...likelihood.registration import Aligner
 from ...types import Float32, Float64, Int64, Pose, Recording
 from .finding import Fault, Finding
-from .pose_faults import MIN_POINTS, most_turned_deg, standing
+from .pose_faults import ALIGN_M, ALIGNER, MIN_POINTS, most_turned_deg, standing
 
 _MAX_OFF_M, _MAX_OFF_DEG = 1.5, 3.0
 """Offset above which passes of one recording are a problem: those of good GNSS agree to 1 m."""
 _EVERY_M, _APART_M = 2.0, 20.0  # between stations; travel between two passes
 _PASSES, _PAIRS, _MIN_PAIRS = 6, 5, 3  # longest pairs of passes, clouds compared of each
 _SEARCH_M, _STEP_M, _TURNS_DEG = 3.5, 0.5, (-4.0, -2.0, 0.0, 2.0, 4.0)
-_COARSE_M, _NEAR_M, _VOXEL_M, _ALIGN_M = 0.6, 0.4, 0.3, 1.5
+_COARSE_M, _NEAR_M = 0.6, 0.4
 _COARSE_POINTS, _POINTS = 500, 1500
 _MIN_OVERLAP, _MIN_GAIN = 0.4, 0.1  # of the best fit; over the fit near the poses
 
@@ -245,9 +244,8 @@ def _offset(
     index = _native.PointIndex(target, _COARSE_M)
     few = source[:: 1 + len(source) // _COARSE_POINTS].copy()
     best = shifted[int(index.overlap(few, shifted, _COARSE_M).argmax())]
-    aligner = Aligner(_VOXEL_M, _ALIGN_M, 1)
-    surfaces = aligner.surface(target), aligner.surface(source)
-    aligned = [aligner.align(*surfaces, T) for T in (T_as_is, best)]
+    surfaces = ALIGNER.surface(target), ALIGNER.surface(source)
+    aligned = [ALIGNER.align(*surfaces, T) for T in (T_as_is, best)]
     poses = np.stack([T_as_is if a is None else a.T_target_source for a in aligned])
     near = _native.PointIndex(target, _NEAR_M)
     overlaps = near.overlap(source[:: 1 + len(source) // _POINTS].copy(), poses, _NEAR_M)
@@ -255,7 +253,7 @@ def _offset(
     moved = T_world_target @ poses[chosen] @ geometry.inverse(T_world_source)
     off = geometry.transform(moved, T_world_source[None, :3, 3])[0] - T_world_source[:3, 3]
     off_m = float(np.hypot(off[0], off[1]))
-    if overlaps[chosen] < _MIN_OVERLAP or off_m > _SEARCH_M + _ALIGN_M:
+    if overlaps[chosen] < _MIN_OVERLAP or off_m > _SEARCH_M + ALIGN_M:
         return None
     return off_m, abs(float(np.degrees(geometry.heading(moved))))
 
