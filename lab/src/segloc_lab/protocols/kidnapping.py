@@ -64,7 +64,7 @@ ALIKE_M = 12.0
 TURN_DEG = (40.0, 180.0)
 OFF_M, OFF_DEG = 2.0, 10.0
 NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
-MAPPED_SHARE = 0.6
+MAPPED_SHARE, RATE_HZ = 0.6, 10.0
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
 WAYS = ("street", "turn", "outside")
 """Places to which robots are kidnapped."""
@@ -553,9 +553,9 @@ def _loading(old: Localizer, new: Localizer, carried: Carried, T_new_old: Pose |
 
     With ``T_new_old``, the pose by the old map is supposed in the new one.
     """
-    assert carried.clock is not None
+    clock = np.arange(len(carried)) / RATE_HZ if carried.clock is None else carried.clock
     core, states = LiveCore(old), dict[int, State]()
-    for i, stamp in enumerate(carried.clock.tolist()):
+    for i, stamp in enumerate(clock.tolist()):
         T_odom_base = carried.poses[i]
         if i == carried.first:
             T_map_odom, core = core.state.T_map_odom, LiveCore(new)
