@@ -58,6 +58,10 @@ def test_a_lift_leads_to_the_same_place_of_another_storey(monkeypatch: pytest.Mo
     world.truths = np.concatenate(poses)
     tried: list[Any] = []
     monkeypatch.setattr(world, "_tried", lambda *trial: tried.append(trial))
+    world.storeys, loaded = [0, 1, 2], []
+    monkeypatch.setattr(world, "_judged", lambda carried, played: None)
+    monkeypatch.setattr(world, "_counted", lambda *trial: tried.append(trial))
+    monkeypatch.setattr(kidnapping, "_loading", lambda *given: loaded.append(given))
     for number, expected in enumerate(kidnapping.LIFTED):
         world.lifted(number)
         _, way, carried, heights = tried[-1]
@@ -70,11 +74,17 @@ def test_a_lift_leads_to_the_same_place_of_another_storey(monkeypatch: pytest.Mo
         step = geometry.inverse(carried.poses[first - 1]) @ carried.poses[first]
         assert np.linalg.norm(step[:3, 3]) < 0.5  # the odometry notices nothing
         if heights is None:
-            assert way == "lift"
+            assert way == "lift" or "map" in way  # what was judged is None here, too
+            continue
+        if way == "lift, height before":
+            assert [height is None for height in heights] == [k >= first for k in range(len(seen))]
             continue
         off = np.abs(np.array([z for z, _ in heights]) - 3.0 * seen[:, 2]) > 2.0
         assert off.mean() < 0.1
         assert (off[first : first + 10].mean() > 0.9) == (way == "lift, late height")
+    rises = {(old, new): T[2, 3] for old, new, _, T in loaded if T is not None}
+    assert rises and all(rise == 3.0 * (new - old) for (old, new), rise in rises.items())
+    assert len(loaded) == 2 and loaded[1][3] is None
 
 
 @pytest.mark.slow

@@ -292,23 +292,24 @@ class Tracker:
             at, tolerance = height.height_m, height.height_tolerance_m
             near = replace(near, height_m=at, height_tolerance_m=tolerance)
         search, result = self.localizer.answer(query, times, deadline_ms, near or height, known)
-        places = self._places(request, search.posterior, query.cloud)
-        places = [*self._elsewhere(request, query.cloud), *places]
+        *others, _ = _by_storey(request, known)
+        places = self._compared(request, query.cloud, others)
+        places += self._places(request, search.posterior, query.cloud)
         return replace(request, places=places, searched=True, found=(query, search, result))
 
     def _compare(self, request: QueryRequest) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
         scans, gather = request.scans, self.localizer.accumulator.gather
         cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
-        known = [T for T in _known_poses(request, cloud) if allowed(request.height)(T)]
-        places = self._places(request, self.localizer.compare(cloud, known), cloud)
-        return replace(request, places=[*self._elsewhere(request, cloud), *places])
+        rivals = _by_storey(request, _known_poses(request, cloud))
+        return replace(request, places=self._compared(request, cloud, rivals))
 
-    def _elsewhere(self, request: QueryRequest, cloud: LocalCloud) -> list[Reading]:
-        """Compare the hypotheses that the height excludes, each alone: none is another's rival."""
-        excluded = [T for T in _known_poses(request, cloud) if not allowed(request.height)(T)]
-        posteriors = [self.localizer.compare(cloud, [T]) for T in excluded]
-        return [place for each in posteriors for place in self._places(request, each, cloud)]
+    def _compared(
+        self, view: View, cloud: LocalCloud, rivals: Sequence[Sequence[Pose]]
+    ) -> list[Reading]:
+        """Compare a cloud at poses T_map_local, those of each group among each other."""
+        posteriors = [self.localizer.compare(cloud, each) for each in rivals]
+        return [place for each in posteriors for place in self._places(view, each, cloud)]
 
     def _places(self, view: View, posterior: Posterior, cloud: LocalCloud) -> list[Reading]:
         """Return the places of a posterior."""
@@ -410,6 +411,15 @@ def _known_poses(request: QueryRequest, cloud: LocalCloud) -> list[Pose]:
     """Return the hypotheses as poses T_map_local of a cloud."""
     T_odom_local = request.T_odom_sensor @ geometry.inverse(cloud.T_local_sensor)
     return [T_map_odom @ T_odom_local for T_map_odom in request.hypotheses]
+
+
+def _by_storey(request: QueryRequest, known: Sequence[Pose]) -> list[list[Pose]]:
+    """Divide poses by the height: each that it excludes alone, and last those that it allows.
+
+    Places that it excludes are no rivals, neither of those nor of each other.
+    """
+    holds = allowed(request.height)
+    return [*([T] for T in known if not holds(T)), [T for T in known if holds(T)]]
 
 
 def _newest(scans: Scans | LocalCloud, T_odom_sensor: Pose) -> Scan | LocalCloud | None:

@@ -2,7 +2,8 @@
 
     python -m segloc_lab.protocols.kidnapping --worlds 48 --out kidnapping.jsonl
     python -m segloc_lab.protocols.kidnapping --alike --worlds 42 --trials 3 --out alike.jsonl
-    python -m segloc_lab.protocols.kidnapping --lifted --worlds 4 --trials 4 --out lifted.jsonl
+    python -m segloc_lab.protocols.kidnapping --handled --worlds 14 --trials 5 --out handled.jsonl
+    python -m segloc_lab.protocols.kidnapping --lifted --worlds 4 --trials 7 --out lifted.jsonl
 
 A part of each world is mapped in one session and driven through in another, with other cars and a
 tenth of the things replaced. Each robot drives 40 m along the map. Then it is put to another street
@@ -10,10 +11,16 @@ tenth of the things replaced. Each robot drives 40 m along the map. Then it is p
 100 m, or as far as the drive goes: if possible 60 m along the map. Its odometry drifts by 1 % and
 goes on as if nothing had happened. With ``--alike``, it is put to the place whose view is most
 alike by heights and free space all around it, 12 m away at least, turned as is most alike.
+With ``--handled``, trials take turns: it is put to another street, its sensor tilted by 5 to 10
+degrees; it is turned by half on the spot; it is put to the place whose view is most alike in a
+mirror, 12 m away at least; or it drives from one half of the mapped way into the other, and the map
+of the half before is replaced by that of the other, with the pose there supposed, or not.
 With ``--lifted``, buildings of three storeys of one plan are mapped, all of them; the robot rides a
 lift to the same place of another storey. Trials differ by the heights that it observes: none; those
 of a barometer, 0.5 m off at random and drifting by 1 m; the same with every twentieth wrong by up
-to 10 m; and the same with those of the old storey for 5 m after the lift.
+to 10 m; the same with those of the old storey for 5 m after the lift; and those before the lift
+alone. In two more each storey has a map of its own, which is loaded after the ride, with the pose
+there supposed, or not.
 Noticed: no longer localized. Recovered: localized within 2 m and 10 degrees of the truth, where the
 map has the place. Held: metres of the whole trial localized farther off than that.
 
@@ -34,10 +41,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
-from segloc.live import Status, play, pose_errors
+from segloc.live import LiveCore, Replay, State, Status, play, pose_errors
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.tools.datasets import Selection
-from segloc.types import Derived, Float64, Int64, Recording
+from segloc.types import Derived, Float64, Int64, Pose, Recording
 
 from ..recordings import Cached
 from ..report import Cell, Table, publish, share
@@ -57,11 +64,20 @@ ALIKE_M = 12.0
 TURN_DEG = (40.0, 180.0)
 OFF_M, OFF_DEG = 2.0, 10.0
 NOTICED_M, RECOVERED_M, HELD_M = 30.0, 60.0, 5.0
-MAPPED_SHARE = 0.6
+MAPPED_SHARE, RATE_HZ = 0.6, 10.0
 DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
 WAYS = ("street", "turn", "outside")
 """Places to which robots are kidnapped."""
 ALIKE = "alike"
+HANDLED = (
+    "tilted",
+    "turned by half",
+    "mirrored",
+    "map of the other half, pose",
+    "map of that half",
+)
+"""What is done to robots of ``--handled``, in turn."""
+TILT_DEG = (5.0, 10.0)
 SECTORS, REACH_M, TALL_M = 60, 40.0, 6.0
 """Directions in which views are compared, and where distances and heights are cut off."""
 
@@ -107,7 +123,15 @@ LIFTED_KINDS = (
     Kind("building", "os1-64", 40.0, 120.0, 0.5, "wheeled", 3, 0.5),
 )
 """Those of ``--lifted``."""
-LIFTED = ("lift", "lift, height", "lift, glitches", "lift, late height")
+LIFTED = (
+    "lift",
+    "lift, height",
+    "lift, glitches",
+    "lift, late height",
+    "lift, height before",
+    "lift, map with pose",
+    "lift, map",
+)
 LATE_M, GLITCH_M, GLITCHES = 5.0, 10.0, 20
 SIGMA_M, WEATHER_M = 0.5, 1.0
 """Noise of a barometer, and its drift over a trial."""
@@ -218,15 +242,63 @@ class World:
         way = WAYS[number % len(WAYS)]
         taken, put, way = self._places(way, rng)
         degrees = float(rng.uniform(*TURN_DEG) * rng.choice([-1.0, 1.0])) if way == "turn" else 0.0
-        return self._tried(number, way, self._carried(taken, put, np.radians(degrees), rng))
+        turn = geometry.yaw_transform(np.radians(degrees))
+        return self._tried(number, way, self._carried(taken, put, turn, rng))
+
+    def handled(self, number: int) -> Trial | None:
+        """Return one trial of a robot that is handled; None if the drive has no place for it."""
+        way = HANDLED[number % len(HANDLED)]
+        rng = np.random.default_rng([self.seed, number])
+        if "map" in way:
+            return self._loaded(number, way, rng)
+        if way == "mirrored":
+            carried = self.carried_alike(number, mirrored=True)
+            return None if carried is None else self._tried(number, way, carried)
+        if way == "tilted":
+            taken, put, _ = self._places("street", rng)
+            T = _tilted(np.radians(rng.uniform(*TILT_DEG)), rng.uniform(-np.pi, np.pi))
+        else:
+            taken, put, _ = self._places("turn", rng)
+            T = geometry.yaw_transform(np.pi)
+        return self._tried(number, way, self._carried(taken, put, T, rng))
+
+    def _loaded(self, number: int, way: str, rng: np.random.Generator) -> Trial | None:
+        """Return one trial of a robot that drives into the other half of the map."""
+        count, spacing = len(self.mapped), self.kind.spacing_m
+        known = self.known[self.known >= BEFORE_M / spacing]
+        halves = [
+            self.mapped.select(Selection((tuple(self.mapped.indices[ends].tolist()),)))
+            for ends in ([0, count // 2], [count // 2, count - 1])
+        ]
+        paths = [half.poses for half in halves]
+        beside = np.stack([distances_to_path(self.truths, T) <= COVERAGE_RADIUS_M for T in paths])
+        least, most = int(BEFORE_M / spacing), int(RECOVERED_M / spacing)
+        best: tuple[float, int, int] | None = None
+        for k in known.tolist():
+            for old in range(2):
+                share = beside[old, k - least : k].mean() + beside[1 - old, k : k + most].mean()
+                if len(self.truths) - k >= most / 2 and (best is None or share > best[0]):
+                    best = share, k, old
+        if best is None:
+            return None
+        _, at, old = best
+        config = self.localizer.config
+        before, beyond = (Localizer(build_map(halves[k], config), config) for k in (old, 1 - old))
+        carried = self._carried(at, at, np.eye(4), rng)
+        T_new_old = np.eye(4) if "pose" in way else None
+        played = _loading(before, beyond, carried, T_new_old)
+        return self._counted(number, way, carried, self._judged(carried, played))
 
     def alike(self, number: int) -> Trial | None:
         """Return one trial of a robot that is put to where most is alike; None without a place."""
         carried = self.carried_alike(number)
         return None if carried is None else self._tried(number, ALIKE, carried)
 
-    def carried_alike(self, number: int) -> Carried | None:
-        """Return the drive of that robot, reproducible by its number."""
+    def carried_alike(self, number: int, *, mirrored: bool = False) -> Carried | None:
+        """Return the drive of that robot, reproducible by its number.
+
+        With ``mirrored``, to where the view is most alike in a mirror.
+        """
         rng, spacing = np.random.default_rng([self.seed, number]), self.kind.spacing_m
         known = self.known[self.known >= BEFORE_M / spacing]
         stretches = (self._whole(self._inside, m) for m in (RECOVERED_M, RECOVERED_M / 2))
@@ -239,9 +311,10 @@ class World:
         if not len(there):
             return None
         views = {int(k): self._view(int(k)) for k in (taken, *there)}
-        unlike = {k: _unlike(views[taken], views[k]) for k in there.tolist()}
+        here = views[taken][:, ::-1] if mirrored else views[taken]
+        unlike = {k: _unlike(here, views[k]) for k in there.tolist()}
         put = min(unlike, key=lambda k: unlike[k])
-        return self._carried(taken, put, unlike[put][1], rng)
+        return self._carried(taken, put, geometry.yaw_transform(unlike[put][1]), rng)
 
     def _view(self, position: int) -> Float64:
         """Return the distance and the height of what is nearest in each direction, (2, S)."""
@@ -262,6 +335,10 @@ class World:
     ) -> Localized:
         """Return where segloc localizes the robot of a drive, which may observe its height."""
         played = play(self.localizer, carried, heights=heights)
+        return self._judged(carried, played)
+
+    def _judged(self, carried: Carried, played: Replay) -> Localized:
+        """Return where the robot of a drive is localized."""
         metres, degrees = pose_errors(played, self.truths_of(carried))
         kinds = [played.states[int(k)].status for k in played.positions]
         off = ~((metres <= OFF_M) & (degrees <= OFF_DEG))
@@ -280,9 +357,12 @@ class World:
         carried: Carried,
         heights: list[tuple[float, float] | None] | None = None,
     ) -> Trial:
+        return self._counted(number, way, carried, self.followed(carried, heights))
+
+    def _counted(self, number: int, way: str, carried: Carried, found: Localized) -> Trial:
+        """Return the trial of a robot that was followed."""
         path = geometry.distance_travelled(self.truths_of(carried)[carried.first :])
         kind = self.kind
-        found = self.followed(carried, heights)
         return Trial(
             self.seed,
             number,
@@ -320,13 +400,13 @@ class World:
             [k for k in range(len(where) - count + 1) if where[k : k + count].all()], dtype=np.int64
         )
 
-    def _carried(self, taken: int, put: int, turn: float, rng: np.random.Generator) -> Carried:
-        """Return the scans up to one place and from another on."""
+    def _carried(self, taken: int, put: int, turn: Pose, rng: np.random.Generator) -> Carried:
+        """Return the scans up to one place and from another on, turned there."""
         spacing, truths = self.kind.spacing_m, self.truths
         first = np.arange(max(0, taken - int(BEFORE_M / spacing)), taken + 1)
         second = np.arange(put, min(put + int(AFTER_M / spacing), len(truths)))
         turns = np.tile(np.eye(4), (len(first) + len(second), 1, 1))
-        turns[len(first) :] = geometry.yaw_transform(turn)
+        turns[len(first) :] = turn
         there = truths[second] @ turns[len(first) :]
         T = truths[taken] @ geometry.inverse(there[0])  # as if it had gone on from there
         moved = np.concatenate([truths[first], T @ there])
@@ -390,6 +470,7 @@ class Building(World):
             drives.append(Cached(driven))
             truths.append(driven.truth)
         self.localizer = Localizer(functools.reduce(SegmentMap.merge, maps), config)
+        self.storeys = [Localizer(each, config) for each in maps]
         self.drive = Joined(drives[0], tuple(drives))
         self._length = min(map(len, drives))
         self.truths = np.concatenate(truths)
@@ -402,9 +483,14 @@ class Building(World):
         start, end = rng.choice(self.kind.storeys, 2, replace=False)
         least, most = BEFORE_M / spacing, length - RECOVERED_M / spacing
         at = int(rng.uniform(least, max(least + 1, most)))
-        carried = self._carried(at + start * length, at + end * length, 0.0, rng)
+        carried = self._carried(at + start * length, at + end * length, np.eye(4), rng)
         carried = carried.until((end + 1) * length)
-        return self._tried(number, way, carried, self._heights(way, carried, rng))
+        if "map" not in way:
+            return self._tried(number, way, carried, self._heights(way, carried, rng))
+        rise = self.truths[at + end * length, 2, 3] - self.truths[at + start * length, 2, 3]
+        T_new_old = geometry.yaw_transform(0.0, (0.0, 0.0, rise)) if "pose" in way else None
+        played = _loading(self.storeys[start], self.storeys[end], carried, T_new_old)
+        return self._counted(number, way, carried, self._judged(carried, played))
 
     def _heights(
         self, way: str, carried: Carried, rng: np.random.Generator
@@ -420,7 +506,8 @@ class Building(World):
             heights[rng.permutation(count)[: count // GLITCHES]] += rng.uniform(-GLITCH_M, GLITCH_M)
         drift = WEATHER_M * np.linspace(0.0, rng.choice([-1.0, 1.0]), count)
         heights += drift + rng.normal(0.0, SIGMA_M, count)
-        return [(float(height), SIGMA_M) for height in heights]
+        known = first if "before" in way else count
+        return [(float(height), SIGMA_M) if k < known else None for k, height in enumerate(heights)]
 
 
 @dataclass(frozen=True)
@@ -459,6 +546,35 @@ def events(found: Localized, first: int, path: Float64, spacing_m: float) -> Eve
         "recovered": reached(found.right[first:]),
         "held": spacing_m * int(found.false.sum()),
     }
+
+
+def _loading(old: Localizer, new: Localizer, carried: Carried, T_new_old: Pose | None) -> Replay:
+    """Play a drive whose map is replaced at the first scan of its second part.
+
+    With ``T_new_old``, the pose by the old map is supposed in the new one.
+    """
+    clock = np.arange(len(carried)) / RATE_HZ if carried.clock is None else carried.clock
+    core, states = LiveCore(old), dict[int, State]()
+    for i, stamp in enumerate(clock.tolist()):
+        T_odom_base = carried.poses[i]
+        if i == carried.first:
+            T_map_odom, core = core.state.T_map_odom, LiveCore(new)
+            core.add_odometry(stamp, T_odom_base)
+            if T_new_old is not None and T_map_odom is not None:
+                core.tracker.suppose(T_new_old @ T_map_odom)
+        else:
+            core.add_odometry(stamp, T_odom_base)
+        core.add_scan(carried.scan(i), stamp)
+        while (pending := core.due()) is not None:
+            core.answer(pending, core.ask(pending))
+        states[i] = core.state
+    return Replay(states, np.empty(0), np.empty(0), len(states), 0)
+
+
+def _tilted(tilt: float, towards: float) -> Pose:
+    """Return how a sensor stands that is tilted towards a direction [rad]."""
+    step = tilt * np.array([-np.sin(towards), np.cos(towards), 0.0, 0.0, 0.0, 0.0])
+    return geometry.displace(np.eye(4), step)
 
 
 def _unlike(here: Float64, there: Float64) -> tuple[float, float]:
@@ -549,6 +665,7 @@ def main() -> None:
     add = runner.options.add_argument
     add("--trials", type=int, default=5, help="in each world")
     add("--alike", action="store_true", help="carry them to where most is alike")
+    add("--handled", action="store_true", help="tilt, turn or mirror them, or load another map")
     add("--lifted", action="store_true", help="let them ride lifts")
     args = runner.parse()
 
@@ -556,10 +673,13 @@ def main() -> None:
         seed, number = task
         if args.lifted:
             return asdict(building_of(seed).lifted(number))
-        world = world_of(ALIKE_KINDS if args.alike else KINDS, seed)
+        world = world_of(ALIKE_KINDS if args.alike or args.handled else KINDS, seed)
         if not len(world.known):  # a drive need not meet the map
             return None
-        trial = world.alike(number) if args.alike else world.trial(number)
+        if args.handled:
+            trial = world.handled(number)
+        else:
+            trial = world.alike(number) if args.alike else world.trial(number)
         return None if trial is None else asdict(trial)
 
     tasks = itertools.product(runner.seeds, range(args.trials))
