@@ -8,7 +8,7 @@ NAME = "segloc_ros"
 
 setup(
     name=NAME,
-    version="0.3.0",
+    version="0.4.0",
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
