@@ -256,13 +256,14 @@ def report(records: list[dict[str, Any]]) -> None:
 def note(records: list[dict[str, Any]], method: str, step: int, foreign: bool) -> str:
     """Explain the table, with the bound of the false rate elsewhere."""
     elsewhere = [r for r in records if not r["within_coverage"]]
-    _, most = wilson(sum(r["outcome"] == "false" for r in elsewhere), len(elsewhere))
+    false = sum(r["outcome"] == "false" for r in elsewhere)
+    _, most = wilson(false, len(elsewhere))
     where = "beyond the path of the own map"
     if foreign:
         where = f"in the maps of all other places, in the mirror image of the own one, and {where}"
     return (
         f"`{method}`; of KITTI every {step}. query; in brackets 95 % by Wilson. Elsewhere: {where} "
-        f"({len(elsewhere)} queries: at most {100 * most:.2g} % are false). Milliseconds of "
+        f"({false} of {len(elsewhere)} queries false, at most {100 * most:.2g} %). Milliseconds of "
         "processor time of one thread, on a machine with much other work."
     )
 
