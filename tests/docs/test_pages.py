@@ -74,7 +74,8 @@ def _shares(line: str) -> list[tuple[int, int]]:
 def _holds(row: str, hits: int, of: int) -> bool:
     shares = _shares(row)
     total = tuple(map(sum, zip(*shares, strict=True)))
-    return {str(hits), str(of)} <= set(re.findall(r"\d+", row)) or total == (hits, of)
+    numbers = set(re.findall(r"\d+", re.sub(r"\bnone\b", "0", row)))
+    return {str(hits), str(of)} <= numbers or total == (hits, of)
 
 
 def _numbers(version: str) -> tuple[int, ...]:
