@@ -24,9 +24,9 @@ _POINTS_PER_VOXEL = 10
 """Points of the local map in a voxel. KISS-ICP's own 20 take a third more time, for the same drift.
 """
 _RANGE_PER_VOXEL, _LEAST_VOXEL_M = 8.0, 0.25
-"""Middle range of a scan, in voxels of the local map, and the smallest voxel. Measured 2026-11-28 by
-simulated scans of a VLP-16: in offices voxels of 0.25 m drift a quarter as much as those of 1 m; in
-a town those of 0.5 m take 3.5 times as long, for the same drift."""
+"""Middle range of a scan, in voxels of the local map, and the smallest voxel. Measured 2026-11-28
+by simulated scans of a VLP-16: in offices voxels of 0.25 m drift a quarter as much as those of 1 m;
+in a town those of 0.5 m take 3.5 times as long, for the same drift."""
 _ANOTHER, _SCANS_ELSEWHERE = 2.0, 10
 """Factor by which the voxel of a place differs from the map's, in so many scans in a row, before a
 map with other voxels is begun."""
