@@ -1,8 +1,8 @@
 """The tracker on a real drive: keyframes with odometry, on the map and far beyond it.
 
 The first half of KITTI 00 is mapped and the second driven; then short parts are mapped, and all the
-rest is driven from where they end, along streets that go on as the mapped ones did. Farther than 4 m
-from the truth is false; a pose that is degraded, and carried on by odometry alone, is counted apart.
+rest is driven from where they end, along streets that go on as the mapped ones did. Farther than
+4 m from the truth is false; poses that odometry alone carries on, degraded, are counted apart.
 
     python -m segloc_lab.protocols.tracking DATA
 """
@@ -21,7 +21,7 @@ from segloc.tracker import Tracker
 from segloc.types import Bools, Float64
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
-from ..report import Table, publish, reporting
+from ..report import Cell, Table, publish, reporting
 
 DRIVES = (
     (FIRST_HALF, SECOND_HALF),
@@ -31,9 +31,12 @@ FALSE_M = 4.0
 
 
 def held(localizer: Localizer, drive: Sequence, step: int) -> tuple[Float64, Bools]:
-    """Return the position error of every ``step``-th scan [m], NaN if unknown; which are localized."""
+    """Return the position error of every ``step``-th scan [m], and which are localized.
+
+    The error is NaN without a pose.
+    """
     tracker, poses = Tracker(localizer), poses_of(drive)
-    errors, localized = [], []
+    errors, localized = list[float](), list[bool]()
     for i in range(0, len(drive), step):
         T = poses[i]
         track = tracker.update(Scan(drive.scan(i).points), T)
@@ -52,7 +55,7 @@ def main() -> None:
     options.add_argument("--every", type=int, default=3, help="scans between queries")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for mapped, driven in DRIVES:
         prior_map = build_map(keyframes(args.data, mapped), config)
         drive = keyframes(args.data, driven)
