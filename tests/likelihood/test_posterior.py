@@ -40,7 +40,7 @@ def observed(
     *,
     known: float = 0.9,
     inliers: int = 8,
-    flush: float = 0.8,
+    on_surface: float = 0.8,
     ground: float = 0.95,
     inside: float = 0.005,
     walls: float = 0.8,
@@ -55,7 +55,7 @@ def observed(
         covariance=None,
         known=Evidence(on, n - on, 2000),
         inside=Count(round(600 * inside), 600),
-        flush=Count(round(900 * flush), 900),
+        on_surface=Count(round(900 * on_surface), 900),
         ground=Count(round(900 * ground), 900),
         walls=Walls(np.full(40, walls, np.float32), np.ones(40, np.float32)),
         inliers=inliers,
@@ -75,7 +75,7 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.7, 0.95), rival),
         log_ratio(observed(0.85, 0.8), rival),
         log_ratio(observed(0.85, 0.95, inliers=5), rival),
-        log_ratio(observed(0.85, 0.95, flush=0.5), rival),
+        log_ratio(observed(0.85, 0.95, on_surface=0.5), rival),
         log_ratio(observed(0.85, 0.95, ground=0.5), rival),
         log_ratio(observed(0.85, 0.95, inside=0.1), rival),
         log_ratio(observed(0.85, 0.95, walls=0.6), rival),
@@ -94,7 +94,12 @@ def test_no_observation_makes_an_impossible_score() -> None:
             assert math.isfinite(log_ratio(fit, others, most))
     none = Count(0, 0)
     blind = replace(
-        observed(0.0, 0.0), known=Evidence(0, 0, 0), seen=none, inside=none, flush=none, ground=none
+        observed(0.0, 0.0),
+        known=Evidence(0, 0, 0),
+        seen=none,
+        inside=none,
+        on_surface=none,
+        ground=none,
     )
     blind.walls = Walls(*(part[:0] for part in blind.walls))
     assert log_ratio(blind, []) < 0.0

@@ -18,7 +18,7 @@ from ..types import Pose
 from .observation import Aligned, Count, Evidence, Walls
 
 FEATURES = (
-    "flush",
+    "on_surface",
     "ground",
     "free_space",
     "inliers_over_rival",
@@ -57,7 +57,7 @@ class Measured(Protocol):
     @property
     def inside(self) -> Count: ...
     @property
-    def flush(self) -> Count: ...
+    def on_surface(self) -> Count: ...
     @property
     def ground(self) -> Count: ...
 
@@ -154,7 +154,7 @@ def features_of(
     overlap, seen = max(rivals, key=lambda rival: rival[0], default=CHANCE_RIVAL)
     likely = 1.0 / (1.0 + math.exp(-2.0 * (overlap - CHANCE_RIVAL[0])))
     return (
-        surface_odds(fit.flush),
+        surface_odds(fit.on_surface),
         surface_odds(fit.ground),
         free_space(fit.inside),
         inlier_ratio(fit.inliers, inliers),

@@ -144,7 +144,7 @@ class Observation(Aligned):
         Points of the structure.
     inside : Count
         Patches of the structure in free space of the map.
-    flush, ground : Count
+    on_surface, ground : Count
         Wall points on the map's surfaces, of those near them or in free space; ground points on the
         map's ground.
     walls : Walls
@@ -156,7 +156,7 @@ class Observation(Aligned):
     covariance: Float64 | None
     known: Evidence
     inside: Count
-    flush: Count
+    on_surface: Count
     ground: Count
     walls: Walls
     inliers: int = 0
@@ -357,7 +357,7 @@ class MapCloud:
             covariance = ERRORS.widened(found.covariance)
             overlap, rmse = found.overlap, found.rmse
         codes = self._known.codes(query.sample, T, config.overlap_radius)
-        flush, walls = self._walls(query, T)
+        on_surface, walls = self._walls(query, T)
         level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
         return Observation(
             T_map_local=self._absolute(T),
@@ -367,7 +367,7 @@ class MapCloud:
             covariance=covariance,
             known=Evidence(_number(codes, HIT), _number(codes, THROUGH, MISSED), len(codes)),
             inside=_inside(codes, query.patches),
-            flush=flush,
+            on_surface=on_surface,
             ground=_within(level, _GROUND_TOLERANCE_M),
             walls=walls,
         )

@@ -207,7 +207,7 @@ def test_what_was_not_measured_is_worth_nothing(plaza: Plaza, plaza_map: Segment
     (fit,) = search.fits
     nothing = Count(0, 0)
     walls = Walls(fit.walls.explained, 0 * fit.walls.weight)
-    bare = replace(fit, inside=nothing, ground=nothing, flush=nothing, walls=walls)
+    bare = replace(fit, inside=nothing, ground=nothing, on_surface=nothing, walls=walls)
     scored = localizer.likelihood.scored(bare, features_of(bare, (), 0, walls_over(bare.walls)))
     search = replace(
         search,

@@ -70,7 +70,7 @@ class Fit:
     known: Evidence
     seen: Count
     ground: Count
-    flush: Count
+    on_surface: Count
     inside: Count
 
     @classmethod
@@ -85,7 +85,7 @@ class Fit:
             Evidence(*counts("known_on", "known_off", "known_of")),
             Count(*counts("seen", "in_view")),
             Count(*counts("ground", "ground_of")),
-            Count(*counts("flush", "flush_of")),
+            Count(*counts("on_surface", "on_surface_of")),
             Count(*counts("inside", "inside_of")),
         )
 

@@ -51,8 +51,8 @@ MEASURES = (
     "in_view",
     "ground",
     "ground_of",
-    "flush",
-    "flush_of",
+    "on_surface",
+    "on_surface_of",
     "known_on",
     "known_off",
     "known_of",
@@ -215,7 +215,7 @@ def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
         far = [p.fit for p in places if p.fit is not None and apart(p.T_map_local, T)]
         elsewhere = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
         most = max([*elsewhere, *(other.inliers for other in far)], default=0)
-        counts = (*fit.seen, *fit.ground, *fit.flush, *fit.known, *fit.inside)
+        counts = (*fit.seen, *fit.ground, *fit.on_surface, *fit.known, *fit.inside)
         walls = min([walls_over(fit.walls), *(walls_over(fit.walls, o.walls) for o in far)])
         before = (*place.measures, *aligned_measures(place.aligned))
         rows.append((*error, fit.inliers, most, *counts, walls, *before))

@@ -25,7 +25,7 @@ from ...pipeline import Search
 from ...system.text import quantity
 
 LABELS = {
-    "flush": "walls",
+    "on_surface": "walls",
     "ground": "ground",
     "free_space": "free space",
     "inliers_over_rival": "segments",
@@ -45,7 +45,7 @@ class _Unmeasured(NamedTuple):
     known: Evidence = Evidence(0, 0, 0)
     seen: Count = Count(0, 0)
     inside: Count = Count(0, 0)
-    flush: Count = Count(0, 0)
+    on_surface: Count = Count(0, 0)
     ground: Count = Count(0, 0)
 
 
@@ -150,8 +150,8 @@ def _known_count(fit: Observation) -> Count:
 def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
     """Return each share that is measured at a pose, in words, and why it may be unknown."""
     return {
-        "flush": (
-            fit.flush,
+        "on_surface": (
+            fit.on_surface,
             "of the wall points lie on the map's walls",
             "no walls of the map near those of the query",
         ),
