@@ -51,11 +51,10 @@ class ScanOdometry:
     """
 
     def __init__(self, max_range_m: float = 100.0) -> None:
-        self._max_range_m = max_range_m
-        self._voxel_m = max_range_m / 100.0
+        self._max_range_m, self._voxel_m = max_range_m, max_range_m / 100.0
         self._registration = _kiss_icp(max_range_m, self._voxel_m)
         self._T_first_begun: Pose = np.eye(4)  # where the map was begun
-        self._last: tuple[Float64, Float64] | None = None  # points and times of the last scan
+        self._last = np.empty((0, 3)), np.empty(0)  # points and times of the last scan
         self._poses: list[Pose] = []  # the last three
         self._idle = self._elsewhere = 0
 
@@ -101,7 +100,7 @@ class ScanOdometry:
         fits_m = float(np.median(ranges)) / _RANGE_PER_VOXEL
         fits_m = min(max(fits_m, _LEAST_VOXEL_M), self._max_range_m / 100.0)
         apart = max(fits_m / self._voxel_m, self._voxel_m / fits_m)
-        if self._last is None:
+        if not self._poses:
             self._registration = _kiss_icp(self._max_range_m, fits_m)
             self._voxel_m = fits_m
             return
@@ -124,7 +123,8 @@ class ScanOdometry:
         step = float(np.linalg.norm(pose[:3, 3] - last[:3, 3]))
         if step > _MAX_STEP_M:
             return f"a step of {step:.1f} m (at most {_MAX_STEP_M:.0f} m)"
-        if np.array_equal(pose, np.eye(4)) and np.linalg.norm(last[:3, 3]) > 0.1:
+        begun = self._T_first_begun
+        if np.array_equal(pose, begun) and np.linalg.norm(last[:3, 3] - begun[:3, 3]) > 0.1:
             return "pose returned to the origin"
         if len(self._poses) < 3 or step < 1e-3:
             return ""

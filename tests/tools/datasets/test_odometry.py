@@ -29,7 +29,7 @@ from segloc_lab.simulation import (
 from segloc_lab.simulation.drives import mapped_way
 
 from segloc import geometry, scan_odometry
-from segloc.errors import DatasetError
+from segloc.errors import DatasetError, InvalidScan
 from segloc.tools.datasets import open_sequence
 from segloc.tools.datasets.inspection import inspect
 from segloc.tools.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
@@ -139,6 +139,8 @@ def test_verbs_take_a_bag_without_poses(
 class Fake:
     """Stands in for kiss-icp: gives these poses."""
 
+    last_delta = np.eye(4)
+
     def __init__(self, poses: list[Float64]) -> None:
         self._poses = iter(poses)
 
@@ -213,6 +215,18 @@ def test_voxels_follow_a_robot_out_of_a_room(monkeypatch: pytest.MonkeyPatch) ->
         assert geometry.rotation_angle(np.linalg.inv(pose) @ T) < np.radians(1.5)
     indoors, outdoors = voxels[1], voxels[-1]
     assert indoors < 0.4 and outdoors == 1.0
+
+
+def test_odometry_is_lost_where_its_later_map_was_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = np.cumsum(np.random.default_rng(1).uniform(0.2, 0.6, 20)).tolist()
+    given = iter([[], moved(*ways), moved(0.0, 0.5, 0.0)])
+    monkeypatch.setattr(scan_odometry, "_kiss_icp", lambda *_: Fake(next(given)))
+    odometry, points = scan_odometry.ScanOdometry(), np.random.default_rng(0).normal(size=(100, 3))
+    for k in range(13):  # the tenth large scan begins another map
+        pose, _ = odometry.add(Scan(points * (1.0 if k < 3 else 10.0)))
+    assert pose[0, 3] == pytest.approx(ways[11] + 0.5)
+    with pytest.raises(InvalidScan, match="returned to the origin"):
+        odometry.add(Scan(points * 10.0))
 
 
 def test_info_finds_what_is_wrong(tmp_path: Path) -> None:
