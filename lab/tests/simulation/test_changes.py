@@ -23,7 +23,7 @@ from segloc_lab.simulation.objects.mesh import LEAF, SESSION_IDS, Objects
 from segloc_lab.simulation.suites import SUMMER
 from segloc_lab.simulation.worlds.interior import REPLACEABLE
 from segloc_lab.simulation.worlds.roads import street_network
-from segloc_lab.simulation.worlds.world import World
+from segloc_lab.simulation.worlds.world import BUILT, World
 
 pytestmark = pytest.mark.slow
 
@@ -85,6 +85,46 @@ def test_things_are_replaced_near_by_and_on_free_ground(small: World) -> None:
     again, _ = small.standing(1, Conditions(replaced=0.4))
     another, _ = small.standing(2, Conditions(replaced=0.4))
     assert again.kinds == stays.kinds != another.kinds
+
+
+def test_lasting_changes_grow_from_session_to_session(works: World) -> None:
+    static = works.static.kinds.keys()
+    gone: set[int] = set()
+    stood: set[bytes] = set()
+    for week, share in enumerate((0.1, 0.3, 0.5), start=1):
+        stays, added = works.standing(
+            week, Conditions(replaced=share, rebuilt=share, scaffolding=share, lasting=True)
+        )
+        assert gone < (gone := static - stays.kinds.keys())
+        mine = {corners.tobytes() for corners in added.triangles}
+        # What was put up for a thing that lasts is what it was; it may make way for later things.
+        assert len(stood & mine) >= 0.9 * len(stood)
+        stood = mine
+
+
+def test_buildings_are_pulled_down_and_others_put_up(works: World) -> None:
+    stays, added = works.standing(1, Conditions(rebuilt=1.0))
+    assert not BUILT & set(stays.kinds.values())
+    new = set(added.kinds.values())
+    assert "hoarding" in new and new - {"hoarding"} <= BUILT
+    for k, kind in added.kinds.items():
+        if kind != "hoarding":  # within the plan of what stood there
+            corners = added.triangles[added.object_ids == k].reshape(-1, 3)
+            assert works.roads.clearance(corners[:, :2]).min() > -0.5
+
+
+def test_snow_lies_beside_the_roads(works: World) -> None:
+    at = np.stack(np.meshgrid(*[np.arange(20.0, SIZE - 20.0, 3.0)] * 2), -1).reshape(-1, 2)
+    rays = np.column_stack([at, np.full(len(at), 100.0)]).astype(np.float32)
+    down = np.tile(np.float32([0, 0, -1]), (len(at), 1))
+    bare, snowy = (
+        works.session(1, Conditions(snow=snow)).cast(rays, down, 200.0) for snow in (0.0, 0.4)
+    )
+    both = (bare.object_ids == 0) & (snowy.object_ids == 0)
+    depth = (bare.ranges - snowy.ranges)[both]
+    off = works.roads.clearance(at)[both]
+    assert np.abs(depth[off < -1.0]).max() < 0.02
+    assert 0.3 < np.median(depth[off > 2.0]) < 0.5
 
 
 def test_later_sessions_come_back_both_ways_and_leave_the_map(works: World) -> None:

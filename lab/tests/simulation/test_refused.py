@@ -80,6 +80,7 @@ def walks(**more: float) -> Gait:
         (lambda: Conditions(foliage=-0.1), "foliage"),
         (lambda: Conditions(replaced=1.1), "replaced"),
         (lambda: Conditions(scaffolding=NAN), "scaffolding"),
+        (lambda: Conditions(snow=2.0), "snow"),
         (lambda: town(0, size_m=20.0), "size_m"),
         (lambda: town(-1), "seed"),
         (lambda: warehouse(0, size_m=1000.0), "size_m"),

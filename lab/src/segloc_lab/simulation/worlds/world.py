@@ -9,6 +9,7 @@ from inspect import signature
 from typing import Any, ParamSpec, TypeAlias
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull, cKDTree
 
 from segloc.errors import ConfigError
@@ -26,6 +27,7 @@ from ..objects.mesh import (
     join,
     rotation,
     scraps,
+    triangles,
     tubes,
     xyz,
 )
@@ -42,6 +44,12 @@ Clearance: TypeAlias = Callable[[Float64], Float64]
 
 BUILT = frozenset({"house", "hall", "training house"})
 """Kinds that scaffolding may stand before."""
+_WALL = "wall"
+"""The kind of walls of rooms, which are moved where buildings are rebuilt."""
+_MOVED_WALL_M = (0.5, 2.0)
+_HOARDING_M = 2.2
+_SNOW = 0.8
+"""Reflectance of snow."""
 
 
 class Footing:
@@ -96,20 +104,51 @@ class Extent:
         middle = ((low + high) / 2)[:2].astype(np.float64)
         return Extent(middle, float(low[2]), float(high[2] - low[2]), triangles)
 
+    @property
+    def sides(self) -> tuple[Float64, Float64, Float64]:
+        """The smallest rectangle about the plan, side by side.
+
+        Both ends, (4, 2) each, and the unit vectors away from it, (4, 2).
+        """
+        points = self.triangles.reshape(-1, 3)[:, :2].astype(np.float64)
+        hull = points[ConvexHull(points).vertices]
+        edges = np.roll(hull, -1, axis=0) - hull
+        angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
+        turns = [rotation(float(a)).T for a in angles]
+        R = min(turns, key=lambda turn: float(np.prod(np.ptp(hull @ turn, axis=0))))
+        low, high = (hull @ R).min(axis=0), (hull @ R).max(axis=0)
+        start = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ R.T
+        end = np.roll(start, -1, axis=0)
+        way = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
+        return start, end, np.stack([way[:, 1], -way[:, 0]], axis=1)
+
+    @property
+    def across(self) -> Float64:
+        """The unit vector across the longest side, (2,)."""
+        start, end, out = self.sides
+        return np.asarray(out[int(np.argmax(np.linalg.norm(end - start, axis=1)))])
+
+
+Things: TypeAlias = dict[int, tuple[str, Extent]]
+"""Objects by id, with their kind."""
+
 
 def replace_some(
-    rng: np.random.Generator,
+    source: Callable[[int], np.random.Generator],
     share: float,
-    things: dict[int, tuple[str, Extent]],
+    things: Things,
     footing: Footing,
     terrain: Terrain,
 ) -> tuple[set[int], list[Item]]:
-    """Which of the replaceable objects are gone, and others near where they stood."""
+    """Which of the replaceable objects are gone, and others near where they stood.
+
+    ``source`` is the randomness of each, and things are taken in their order.
+    """
     gone: set[int] = set()
     added: list[Item] = []
     taken: list[Float64] = []
-    for number, (kind, extent) in sorted(things.items()):
-        entry = REPLACEABLE[kind]
+    for number, (kind, extent) in things.items():
+        entry, rng = REPLACEABLE[kind], source(number)
         if extent.height > entry.tallest or rng.random() >= share:
             continue
         gone.add(number)
@@ -134,6 +173,42 @@ def _instead(
     own = np.ptp(mesh.triangles.reshape(-1, 3)[:, :2], axis=0)
     across = np.pi / 2 * ((span[0] > span[1]) != (own[0] > own[1]))
     return mesh.moved([*extent.middle, extent.base], turn + across + np.pi * int(rng.integers(2)))
+
+
+def rebuild(
+    source: Callable[[int], np.random.Generator],
+    share: float,
+    things: Things,
+) -> tuple[set[int], list[Item]]:
+    """Which buildings and walls are pulled down, and what was put up instead.
+
+    Of a building that is nothing but a hoarding, or a smaller one of another height; a wall was
+    moved across itself.
+    """
+    gone: set[int] = set()
+    added: list[Item] = []
+    for number, (kind, extent) in things.items():
+        rng = source(number)
+        if rng.random() >= share:
+            continue
+        gone.add(number)
+        shell = triangles(extent.triangles.astype(np.float64), 0.4)
+        if kind == _WALL:
+            across = extent.across * rng.uniform(*_MOVED_WALL_M) * rng.choice([-1.0, 1.0])
+            added.append((kind, shell.moved([*across, 0.0])))
+        elif rng.random() < 0.5:
+            foot = np.array([*extent.middle, extent.base])
+            factor = rng.uniform([0.6, 0.6, 0.5], [0.95, 0.95, 1.5])
+            added.append((kind, shell.moved(-foot).scaled(factor).moved(foot)))
+        else:
+            start, end, _ = extent.sides
+            middle, way = (start + end) / 2, end - start
+            for at, along in zip(middle, way, strict=True):
+                size = [float(np.hypot(*along)), 0.05, _HOARDING_M]
+                yaw = float(np.arctan2(along[1], along[0]))
+                board = boxes([0, 0, _HOARDING_M / 2], size, 0.4)
+                added.append(("hoarding", board.moved([*at, extent.base], yaw)))
+    return gone, added
 
 
 def scaffold(
@@ -166,22 +241,10 @@ def scaffold(
 
 
 def _street_side(extent: Extent, clearance: Clearance) -> tuple[Float64, Float64, Float64]:
-    """The side of the smallest rectangle about a building that is nearest to a road.
-
-    Both ends, (2,), and the unit vector away from the building.
-    """
-    points = extent.triangles.reshape(-1, 3)[:, :2].astype(np.float64)
-    hull = points[ConvexHull(points).vertices]
-    edges = np.roll(hull, -1, axis=0) - hull
-    angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
-    turns = [rotation(float(a)).T for a in angles]
-    R = min(turns, key=lambda turn: float(np.prod(np.ptp(hull @ turn, axis=0))))
-    low, high = (hull @ R).min(axis=0), (hull @ R).max(axis=0)
-    begin = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ R.T
-    end = np.roll(begin, -1, axis=0)
-    k = int(np.argmin(clearance((begin + end) / 2)))
-    way = (end[k] - begin[k]) / np.linalg.norm(end[k] - begin[k])
-    return begin[k], end[k], np.array([way[1], -way[0]])
+    """The side of a building that is nearest to a road: both ends, and the direction outwards."""
+    start, end, out = extent.sides
+    k = int(np.argmin(clearance((start + end) / 2)))
+    return start[k], end[k], out[k]
 
 
 def _deck(start: Float64, end: Float64, out: Float64, deep: float, z: float) -> Mesh:
@@ -262,11 +325,22 @@ class Conditions:
         Share of the replaceable objects that are gone; about as many others stand near by.
     scaffolding : float
         Share of the buildings with scaffolding before their front.
+    rebuilt : float
+        Share of the buildings that were pulled down, half of them for others in their place; of
+        rooms, share of the walls that were moved.
+    snow : float
+        Depth of the snow beside the roads [m].
+    lasting : bool
+        Whether changes stay in later sessions: what is gone at 0.1 is also gone at 0.2, and what
+        stands instead is the same. Otherwise each session has its own.
     """
 
     foliage: float = 1.0
     replaced: float = 0.0
     scaffolding: float = 0.0
+    rebuilt: float = 0.0
+    snow: float = 0.0
+    lasting: bool = False
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -340,19 +414,25 @@ class World:
             self._scenes.clear()  # one at a time: a scene holds some hundred megabytes
             groups = [*self.standing(k, conditions), self.changing(k)]
             leafy = [group.with_foliage(conditions.foliage) for group in groups]
-            scene = self._scenes[key] = Scene(self.terrain, self.ground_reflectance, leafy)
+            scene = self._scenes[key] = Scene(*self._ground(conditions.snow), leafy)
         return scene
 
     def standing(self, k: int, conditions: Conditions) -> list[Objects]:
         """What stays, less what is gone in session k; and what is put up instead."""
-        rng = np.random.default_rng([self.seed, 7927, k])
         gone: set[int] = set()
-        items: list[tuple[str, Mesh]] = []
+        items: list[Item] = []
         if conditions.replaced:
-            gone, items = self._replaced(rng, conditions.replaced)
-        rng = np.random.default_rng([self.seed, 7933, k])
+            gone, items = self._replaced(k, conditions)
+        if conditions.rebuilt:
+            built = self._extents(BUILT if self.interior is None else frozenset({_WALL}))
+            source, things = self._changes(7937, k, built, conditions.lasting)
+            pulled_down, put_up = rebuild(source, conditions.rebuilt, things)
+            gone |= pulled_down
+            items += put_up
         if conditions.scaffolding:
-            for _, (_, extent) in sorted(self._extents(BUILT).items()):
+            source, things = self._changes(7933, k, self._extents(BUILT), conditions.lasting)
+            for number, (_, extent) in things.items():
+                rng = source(number)
                 if rng.random() < conditions.scaffolding:
                     mesh = scaffold(rng, extent, self.terrain, self.roads.clearance)
                     items.append(("scaffolding", mesh))
@@ -362,17 +442,44 @@ class World:
         added = Objects.of(items, (k + 1) * SESSION_IDS + SESSION_IDS // 2)
         return [self.static.only(stays), added]
 
+    def _ground(self, snow: float) -> tuple[Terrain, Float32]:
+        """The surface on a day of snow, and the reflectance of its triangles."""
+        if not snow:
+            return self.terrain, self.ground_reflectance
+        ground = self.terrain
+        ny, nx = ground.heights.shape
+        vertices, faces = ground.mesh()
+        off_road = self.roads.clearance(vertices[:, :2]).reshape(ny, nx)
+        wind = gaussian_filter(np.random.default_rng([self.seed, 7949]).normal(size=(ny, nx)), 2.0)
+        drifts = np.clip(1.0 + 0.3 * wind / wind.std(), 0.3, 2.0)
+        depth = snow * np.clip(off_road, 0.0, 1.0) * drifts
+        white = depth.reshape(-1)[faces].max(axis=1) > 0.05
+        reflectance = np.where(white, np.float32(_SNOW), self.ground_reflectance)
+        return replace(ground, heights=ground.heights + depth), reflectance
+
+    def _changes(
+        self, salt: int, k: int, things: Things, lasting: bool
+    ) -> tuple[Callable[[int], np.random.Generator], Things]:
+        """The randomness of what changes, and the things in the order in which they change."""
+        if lasting:
+
+            def own(number: int) -> np.random.Generator:
+                return np.random.default_rng([self.seed, salt, number])
+
+            return own, {n: things[n] for n in sorted(things, key=lambda n: own(n).random())}
+        rng = np.random.default_rng([self.seed, salt, k])
+        return (lambda _: rng), dict(sorted(things.items()))
+
     def _floors(self) -> list[Terrain]:
         count = 1 if self.interior is None else len(self.interior.storeys)
         return [self.floor(storey) for storey in range(count)]
 
-    def _replaced(
-        self, rng: np.random.Generator, share: float
-    ) -> tuple[set[int], list[tuple[str, Mesh]]]:
+    def _replaced(self, k: int, conditions: Conditions) -> tuple[set[int], list[Item]]:
         """Ids of the things that are gone, and what stands instead, storey by storey."""
-        things = self._extents(frozenset(REPLACEABLE))
+        every = self._extents(frozenset(REPLACEABLE))
+        source, things = self._changes(7927, k, every, conditions.lasting)
         gone: set[int] = set()
-        items: list[tuple[str, Mesh]] = []
+        items: list[Item] = []
         inside = self.interior
         for storey, floor in enumerate(self._floors()):
             standing, mine = self.static.triangles, things
@@ -380,12 +487,13 @@ class World:
                 base = float(floor.heights.min()) - 0.3
                 standing = standing[standing[..., 2].max(axis=1) > base]
                 mine = {k: v for k, v in things.items() if inside.storey(v[1].base) == storey}
-            lost, added = replace_some(rng, share, mine, Footing(self, standing, floor), floor)
+            footing = Footing(self, standing, floor)
+            lost, added = replace_some(source, conditions.replaced, mine, footing, floor)
             gone |= lost
             items += added
         return gone, items
 
-    def _extents(self, kinds: frozenset[str]) -> dict[int, tuple[str, Extent]]:
+    def _extents(self, kinds: frozenset[str]) -> Things:
         """The static objects of some kinds by id."""
         ids = self.static.object_ids
         wanted = {k: kind for k, kind in self.static.kinds.items() if kind in kinds}
