@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from segloc_lab.peers.loops import ate, chained, tied
-from segloc_lab.protocols import kidnapping, live_streams, rivals
+from segloc_lab.protocols import ageing, first_fix, kidnapping, live_streams, rivals
 from segloc_lab.report import entries
 
 from segloc import Scan, geometry
@@ -113,6 +114,51 @@ def test_rivals_follow_a_robot_at_its_smallest(
     assert rivals._threshold(found, found[0].seed) == np.nextafter(np.inf, 0)
     rivals.main()
     assert rivals.followed_of(entries(out)) == found  # nothing is done twice
+
+
+@pytest.mark.slow
+def test_robots_are_switched_on_at_their_smallest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("embreex")
+    kind = kidnapping.Kind("offices", "vlp16", 40.0, 40.0, 1.0, "wheeled")
+    monkeypatch.setattr(first_fix, "KINDS", (kind,))
+    monkeypatch.setattr(first_fix, "FOLLOWED_M", 6.0)
+    out = tmp_path / "first.jsonl"
+    monkeypatch.setattr(
+        "sys.argv", ["first_fix", "--worlds", "1", "--trials", "2", "--out", str(out)]
+    )
+    first_fix.main()
+    robots = entries(out)
+    assert [r["number"] for r in robots] == [0, 1] and all(r["false_m"] == 0.0 for r in robots)
+    fixes = [r["first_fix_m"] for r in robots]
+    assert any(fix is not None for fix in fixes)
+    at_once = sum(fix == 0.0 for fix in fixes)
+    assert f"| 2 | {at_once} of 2" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_map_grows_old_at_its_smallest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("embreex")
+    monkeypatch.setattr(ageing, "LENGTH_M", 12.0)
+    monkeypatch.setattr(ageing, "AZIMUTHS", 300)
+    monkeypatch.setattr(ageing, "PLACES", ("offices",))
+    monkeypatch.setitem(ageing.KINDS, "offices", replace(ageing.KINDS["offices"], size_m=40.0))
+    some = {name: ageing.CHANGES[name] for name in ("leaves fallen", "a quarter rebuilt")}
+    monkeypatch.setattr(ageing, "CHANGES", some)
+    out, report = tmp_path / "ageing.jsonl", tmp_path / "report"
+    command = ["ageing", "--worlds", "1", "--weeks", "2", "--out", str(out)]
+    monkeypatch.setattr("sys.argv", [*command, "--report", str(report)])
+    ageing.main()
+    changes, year = entries(out)
+    assert [each["change"] for each in changes["found"]] == ["a quarter rebuilt"]  # no trees inside
+    first, second = year["found"]
+    assert first["map of June"] == first["updated"]  # nothing was added yet
+    assert second["segments"] > first["segments"]
+    told = (report / "REPORT.md").read_text()
+    assert "| a quarter rebuilt |" in told and "| offices | 1 to 1 |" in told
 
 
 @pytest.mark.slow

@@ -316,6 +316,24 @@ class World:
         put = min(unlike, key=lambda k: unlike[k])
         return self._carried(taken, put, geometry.yaw_transform(unlike[put][1]), rng)
 
+    def from_anywhere(
+        self, metres: float, covered_m: float, rng: np.random.Generator
+    ) -> Carried | None:
+        """Return a part of the drive that begins anywhere; None if it does not meet the map.
+
+        For ``covered_m`` it is within coverage.
+        """
+        begins = self._whole(self._inside, covered_m)
+        if not len(begins):
+            return None
+        begin = int(rng.choice(begins))
+        end = min(begin + int(metres / self.kind.spacing_m), len(self.truths))
+        positions = np.arange(begin, end)
+        clock = None if self.drive.stamps is None else self.drive.stamps[positions]
+        poses = DRIFT.odometry(self.truths[positions], rng)
+        turns = np.tile(np.eye(4), (len(positions), 1, 1))
+        return Carried(self.drive, positions, poses, turns, clock, 0)
+
     def _view(self, position: int) -> Float64:
         """Return the distance and the height of what is nearest in each direction, (2, S)."""
         T = self.truths[position]
