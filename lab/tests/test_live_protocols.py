@@ -118,29 +118,26 @@ def test_rivals_follow_a_robot_at_its_smallest(
 
 @pytest.mark.slow
 def test_robots_are_switched_on_at_their_smallest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("embreex")
     kind = kidnapping.Kind("offices", "vlp16", 40.0, 40.0, 1.0, "wheeled")
     monkeypatch.setattr(first_fix, "KINDS", (kind,))
     monkeypatch.setattr(first_fix, "FOLLOWED_M", 6.0)
-    out = tmp_path / "first.jsonl"
-    monkeypatch.setattr(
-        "sys.argv", ["first_fix", "--worlds", "1", "--trials", "2", "--out", str(out)]
-    )
+    out, report = tmp_path / "first.jsonl", tmp_path / "report"
+    command = ["first_fix", "--worlds", "1", "--trials", "2", "--out", str(out)]
+    monkeypatch.setattr("sys.argv", [*command, "--report", str(report)])
     first_fix.main()
     robots = entries(out)
     assert [r["number"] for r in robots] == [0, 1] and all(r["false_m"] == 0.0 for r in robots)
     fixes = [r["first_fix_m"] for r in robots]
     assert any(fix is not None for fix in fixes)
     at_once = sum(fix == 0.0 for fix in fixes)
-    assert f"| 2 | {at_once} of 2" in capsys.readouterr().out
+    assert f"| 2 | {at_once} of 2" in (report / "REPORT.md").read_text()
 
 
 @pytest.mark.slow
-def test_a_map_grows_old_at_its_smallest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_grows_old_at_its_smallest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     monkeypatch.setattr(ageing, "LENGTH_M", 12.0)
     monkeypatch.setattr(ageing, "AZIMUTHS", 300)

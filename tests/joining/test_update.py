@@ -230,3 +230,17 @@ def test_the_size_is_bounded(later: PlazaSequence, prior_map: SegmentMap) -> Non
     small, counts = update_map(prior_map, later, CONFIG, UpdateConfig(max_segments=100))
     assert len(small) == 100
     assert (small.session == 1).all()  # the newest stay
+
+
+def test_a_map_that_is_updated_again_and_again_hardly_grows(first: PlazaSequence) -> None:
+    config = CONFIG.model_copy(update={"mapping": MappingConfig()})  # compact
+    bounded = every = build_map(first, config)
+    sizes = [len(bounded)]
+    for k in range(1, 5):
+        again = PlazaSequence(scene(changed=False), steps=5)
+        again.poses[:, 1, 3] += 0.3 * k
+        bounded, _ = update_map(bounded, again, config, unchecked=True)
+        every, _ = update_map(every, again, config, UpdateConfig(max_views=0), unchecked=True)
+        sizes.append(len(bounded))
+    assert sizes[4] - sizes[2] < 0.5 * (sizes[2] - sizes[0])
+    assert len(every) > 1.5 * len(bounded)

@@ -40,7 +40,11 @@ class UpdateConfig(Section):
     max_gone: float = Field(
         0.25, gt=0, le=1, description="share of the visible map above which removal is refused"
     )
-    max_views: int = Field(0, ge=0, description="newest views kept of an object; 0: all")
+    max_views: int | None = Field(
+        None,
+        ge=0,
+        description="newest views kept of an object; 0: all; by default twice those of a session",
+    )
     same_m: float = Field(0.5, gt=0, description="distance between centroids of one object, metres")
     max_segments: int = Field(0, ge=0, description="maximum number of segments; 0: unlimited")
     visibility: VisibilityConfig = VisibilityConfig()
@@ -138,7 +142,9 @@ def update_map(
     waiting = stay & gone
     points = ~visible.gone | _within_segments(prior_map, waiting)
     merged = prior_map.kept(stay, points, missed).merge(fresh)
-    bounded = merged.kept(_newest_views(merged, update), np.ones(len(merged.cloud), dtype=bool))
+    most = 2 * compact.max_views * compact.enabled if update.max_views is None else update.max_views
+    newest = _newest_views(merged, most, update)
+    bounded = merged.kept(newest, np.ones(len(merged.cloud), dtype=bool))
     updated = compacted(bounded, compact)
     return updated, UpdateCounts(
         added=len(fresh),
@@ -208,15 +214,15 @@ def _within_segments(prior_map: SegmentMap, chosen: Bools) -> Bools:
     return inside
 
 
-def _newest_views(prior_map: SegmentMap, update: UpdateConfig) -> Bools:
+def _newest_views(prior_map: SegmentMap, max_views: int, update: UpdateConfig) -> Bools:
     """Return which segments stay within the limits of views per object and of segments."""
     keep = np.ones(len(prior_map), dtype=bool)
     newest = np.lexsort((prior_map.stamps, prior_map.session, -prior_map.missed))[::-1]
-    if update.max_views:
+    if max_views:
         near = cKDTree(prior_map.centroids).query_ball_point(prior_map.centroids, update.same_m)
         keep[:] = False
         for i in newest:
-            keep[i] = np.count_nonzero(keep[near[i]]) < update.max_views
+            keep[i] = np.count_nonzero(keep[near[i]]) < max_views
     if update.max_segments:
         keep[newest[keep[newest]][update.max_segments :]] = False
     return keep

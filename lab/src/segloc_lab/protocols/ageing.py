@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, Scan, SegmentMap, build_map
-from segloc.joining.update import UpdateConfig, update_map
+from segloc.joining.update import update_map
 from segloc.types import Float32, Float64, Pose, Recording
 
 from ..calibration.worlds import AZIMUTHS, KINDS, unsharp
@@ -51,7 +51,6 @@ PLACES = ("town", "offices", "park", "warehouse", "industrial")
 LENGTH_M, SPACING_M = 90.0, 2.0
 QUERY_EVERY = 2
 """Scans from a query to the next."""
-UPDATE = UpdateConfig(max_views=4)
 WEEKS = 52
 LEAVES = ([0, 16, 26, 44, 50], [1.0, 1.0, 0.1, 0.1, 1.0])
 """Weeks from the beginning of June, and shares of the leaves that are there."""
@@ -160,7 +159,7 @@ def aged(place: Place, weeks: int) -> list[Entry]:
         for name, prior_map in (("map of June", first), ("updated", updated)):
             entry[name] = counted(prior_map, queries)
         found.append(entry)
-        updated, counts = update_map(updated, drive, update=UPDATE)
+        updated, counts = update_map(updated, drive)
         entry |= {"removed": counts.removed, "added": counts.added}
     return found
 

@@ -77,7 +77,7 @@ def row(name: tuple[str, str], robots: list[Entry]) -> tuple[Cell, ...]:
         len(robots),
         share(sum(fix == 0.0 for fix in fixes), len(robots)),
         share(sum(fix <= SOON_M for fix in fixes), len(robots)),
-        sum(np.isinf(fix) for fix in fixes),
+        sum(fix == np.inf for fix in fixes),
         *("never" if np.isinf(metres) else f"{metres:.1f}" for metres in spread),
         f"{sum(r['false_m'] for r in robots):g}",
     )

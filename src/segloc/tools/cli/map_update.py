@@ -52,8 +52,14 @@ def update(
         ),
     ] = 2,
     max_views: Annotated[
-        int, typer.Option(min=0, metavar="COUNT", help="Newest views of an object; 0: all.")
-    ] = 0,
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="COUNT",
+            help="Newest views of an object; 0: all.",
+            show_default="twice those that a session keeps",
+        ),
+    ] = None,
     max_segments: Annotated[
         int, typer.Option(min=0, metavar="COUNT", help="Maximum size of the map; 0: unlimited.")
     ] = 0,
