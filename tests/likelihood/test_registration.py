@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from segloc import geometry
+from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc._native import Surface, normals, voxel_grid
 from segloc.likelihood.registration import MIN_POINTS, Aligner
 from segloc.types import Float32, Float64, Pose
@@ -123,3 +123,28 @@ def test_a_pose_is_as_open_along_a_wall_as_it_is() -> None:
     along, across = deviations(wall)
     assert along > 0.5 and across < 0.05
     assert deviations(both).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_pose_in_a_room_is_level() -> None:
+    pytest.importorskip("embreex")
+    from segloc_lab.simulation import PLATFORMS, SENSORS, Conditions, offices, simulate_sessions
+
+    config = Config(threads=1)
+    mapped, later = simulate_sessions(
+        offices(5, size_m=40.0),
+        SENSORS["os1-64"](450),
+        [Conditions(), Conditions(replaced=0.2)],
+        length_m=40.0,
+        seed=5,
+        platform=PLATFORMS["wheeled"](),
+    )
+    localizer = Localizer(build_map(mapped, config), config)
+    degrees = []
+    for i in range(0, len(later), 2):
+        answer = localizer.localize(Scan(later.scan(i).points))
+        if answer.T_map_sensor is not None:
+            off = geometry.inverse(later.truth[i]) @ answer.T_map_sensor
+            degrees.append(np.degrees(geometry.rotation_angle(off)))
+    assert len(degrees) >= 8
+    assert np.median(degrees) < 0.7 and max(degrees) < 1.3

@@ -27,6 +27,7 @@ from .config import VerificationConfig
 from .nearby import NearbySearch, Surroundings
 from .next_view import next_view
 from .registration import ERRORS, Aligner, Registered, Target, thinned
+from .registration import Aligned as Alignment
 
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """Shift beyond which an alignment is repeated from its result, and the most repetitions."""
@@ -57,6 +58,8 @@ _EXPLAINED_M = (0.04, 0.2)
 """Distances from the map's surface up to which a wall point is explained, and beyond which not."""
 _SURE_PATCH = 8.0
 """Points from which a patch of walls counts as one; fewer count less."""
+_OPEN_DEG = 0.5
+"""Standard deviation of the rotation from which an alignment is repeated, as dense as the map."""
 
 
 class Count(NamedTuple):
@@ -351,16 +354,18 @@ class MapCloud:
         config = self._config
         covariance: Float64 | None = None
         T, found = self._from(T_map_local, query, known, roughly=False)
+        T_answer = T
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
-            covariance = ERRORS.widened(found.covariance)
+            finest = self._finest(found, query)
+            T_answer, covariance = finest.T_target_source, ERRORS.widened(finest.covariance)
             overlap, rmse = found.overlap, found.rmse
         codes = self._known.codes(query.sample, T, config.overlap_radius)
         on_surface, walls = self._walls(query, T)
         level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
         return Observation(
-            T_map_local=self._absolute(T),
+            T_map_local=self._absolute(T_answer),
             overlap=overlap,
             seen=self._seen(query, T),
             rmse=rmse,
@@ -449,6 +454,20 @@ class MapCloud:
         metres = float(np.linalg.norm(found.T_target_source[:3, 3] - T[:3, 3]))
         return None if metres > self._separation.metres else found
 
+    def _finest(self, found: Registered, query: QueryCloud) -> Alignment:
+        """Return an alignment as dense as the map if it tells more than one that leaves turns open.
+
+        In a room, voxels that suit a street mix the faces of what stands there, and a pose may lean
+        by degrees. The covariances know.
+        """
+        if _open_deg(found) < _OPEN_DEG:
+            return found
+        start = found.T_target_source
+        finer = self._aligner.align(self._close, query.close[0], start)
+        if finer is None or _open_deg(finer) >= _open_deg(found):
+            return found
+        return found if self._separation.apart(start, finer.T_target_source) else finer
+
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
 
@@ -482,6 +501,11 @@ def _inside(codes: np.ndarray, patch: Int64) -> Count:
 def _within(off: Float32, metres: float) -> Count:
     """Count the points nearer to a surface than so, of those with one near."""
     return Count(int((off < metres).sum()), int(np.isfinite(off).sum()))
+
+
+def _open_deg(alignment: Alignment) -> float:
+    """Return the standard deviation of an alignment's rotation [deg]."""
+    return float(np.degrees(np.sqrt(np.trace(alignment.covariance[:3, :3]))))
 
 
 def _number(codes: np.ndarray, *chosen: int) -> int:
