@@ -268,13 +268,6 @@ def test_a_crash_is_started_again(stand_ins: Path, tmp_path: Path) -> None:
         os.kill(int(record.name.split(".")[1]), signal.SIGKILL)
         launch.until(lambda: len(list(tmp_path.glob("segloc.*.json"))) == 2, "no respawn")
         launch.until(lambda: launch.output.count("process started with pid") == 2, "not told")
-        for _ in range(3):  # launch tells of a process before it can end it, and may miss the first
-            time.sleep(1.0)
-            launch.process.send_signal(CTRL_C)
-            with suppress(subprocess.TimeoutExpired):
-                launch.process.wait(20.0)
-                break
-        launch.ended()
 
 
 @needs_launch
