@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -99,7 +100,7 @@ class Aligned:
     motion: Float64
     variance: float
 
-    @property
+    @cached_property
     def covariance(self) -> Float64:
         """Covariance of rotation [rad] and translation [m], (6, 6), in the source's frame.
 

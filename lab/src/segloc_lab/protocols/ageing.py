@@ -2,14 +2,13 @@
 
 Each world is mapped once, at the beginning of June, by a VLP-16 on a car or by an OS1-64 on a robot
 with wheels. With it the mapped path is driven again in another lane, in turns there and back;
-single scans every 4 m are queries. With ``changes``, each of these
-drives differs by one thing: fallen leaves, snow beside the roads, a fifth or two fifths of what can
-be moved replaced, scaffolding, buildings pulled down and others put up, rooms with moved walls.
-With ``year`` there is a drive a week, in which other cars are parked and other people about. Leaves
-fall and come back, snow lies for six weeks, and of what can be moved 1 % is replaced for good every
-week, of buildings and walls 0.2 %. Queries are localized in the map of June, and in the same that
-was updated with the drives of all weeks before. Their poses err by centimetres, and four views of
-an object are kept.
+single scans every 4 m are queries. With ``changes``, each of these drives differs by one thing:
+fallen leaves, snow beside the roads, a fifth or two fifths of what can be moved replaced,
+scaffolding, buildings pulled down and others put up, rooms with moved walls. With ``year`` there is
+a drive a week, in which other cars are parked and other people about. Leaves fall and come back,
+snow lies for six weeks, and of what can be moved 1 % is replaced for good every week, of buildings
+and walls 0.2 %. Queries are localized in the map of June, and in the same that was updated with the
+drives of all weeks before. Their poses err by centimetres, and four views of an object are kept.
 
     python -m segloc_lab.protocols.ageing --worlds 5 --first-seed 72000 --workers 2
 """
