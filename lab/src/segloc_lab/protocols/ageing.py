@@ -24,8 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Config, Localizer, Scan, SegmentMap, build_map
-from segloc.joining.update import update_map
+from segloc import Config, Localizer, Scan, SegmentMap, build_map, update_map
 from segloc.types import Float32, Float64, Pose, Recording
 
 from ..calibration.worlds import AZIMUTHS, KINDS, unsharp
