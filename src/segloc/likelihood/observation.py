@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,6 @@ from .config import VerificationConfig
 from .nearby import NearbySearch, Surroundings
 from .next_view import next_view
 from .registration import ERRORS, Aligner, Registered, Target, thinned
-from .registration import Aligned as Alignment
 
 _STILL_M, _MOST_AGAIN = 1.0, 2
 """Shift beyond which an alignment is repeated from its result, and the most repetitions."""
@@ -58,7 +57,7 @@ _EXPLAINED_M = (0.04, 0.2)
 """Distances from the map's surface up to which a wall point is explained, and beyond which not."""
 _SURE_PATCH = 8.0
 """Points from which a patch of walls counts as one; fewer count less."""
-_OPEN_DEG = 0.5
+_OPEN_DEG = 1.1
 """Standard deviation of the rotation from which an alignment is repeated, as dense as the map."""
 
 
@@ -354,18 +353,16 @@ class MapCloud:
         config = self._config
         covariance: Float64 | None = None
         T, found = self._from(T_map_local, query, known, roughly=False)
-        T_answer = T
         if found is None:
             overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
         else:
-            finest = self._finest(found, query)
-            T_answer, covariance = finest.T_target_source, ERRORS.widened(finest.covariance)
+            covariance = ERRORS.widened(found.covariance)
             overlap, rmse = found.overlap, found.rmse
         codes = self._known.codes(query.sample, T, config.overlap_radius)
         on_surface, walls = self._walls(query, T)
         level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
         return Observation(
-            T_map_local=self._absolute(T_answer),
+            T_map_local=self._absolute(T),
             overlap=overlap,
             seen=self._seen(query, T),
             rmse=rmse,
@@ -376,6 +373,24 @@ class MapCloud:
             ground=_within(level, _GROUND_TOLERANCE_M),
             walls=walls,
         )
+
+    def finest(self, fit: Observation, query: QueryCloud) -> Observation:
+        """Return a fit, aligned as dense as the map if that tells more than one with open turns.
+
+        In a room, voxels that suit a street mix the faces of what stands there, and a pose may lean
+        by degrees. The covariances know.
+        """
+        if fit.covariance is None or _open_deg(fit.covariance) < _OPEN_DEG:
+            return fit
+        start = self._relative(fit.T_map_local)
+        finer = self._aligner.align(self._close, query.close[0], start)
+        if finer is None or self._separation.apart(start, finer.T_target_source):
+            return fit
+        covariance = ERRORS.widened(finer.covariance)
+        if _open_deg(covariance) >= _open_deg(fit.covariance):
+            return fit
+        T_map_local = self._absolute(finer.T_target_source)
+        return replace(fit, T_map_local=T_map_local, covariance=covariance)
 
     def _walls(self, query: QueryCloud, T: Pose) -> tuple[Count, Walls]:
         """Compare walls: their points, and the share of each patch that is explained."""
@@ -454,20 +469,6 @@ class MapCloud:
         metres = float(np.linalg.norm(found.T_target_source[:3, 3] - T[:3, 3]))
         return None if metres > self._separation.metres else found
 
-    def _finest(self, found: Registered, query: QueryCloud) -> Alignment:
-        """Return an alignment as dense as the map if it tells more than one that leaves turns open.
-
-        In a room, voxels that suit a street mix the faces of what stands there, and a pose may lean
-        by degrees. The covariances know.
-        """
-        if _open_deg(found) < _OPEN_DEG:
-            return found
-        start = found.T_target_source
-        finer = self._aligner.align(self._close, query.close[0], start)
-        if finer is None or _open_deg(finer) >= _open_deg(found):
-            return found
-        return found if self._separation.apart(start, finer.T_target_source) else finer
-
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)
 
@@ -503,9 +504,9 @@ def _within(off: Float32, metres: float) -> Count:
     return Count(int((off < metres).sum()), int(np.isfinite(off).sum()))
 
 
-def _open_deg(alignment: Alignment) -> float:
-    """Return the standard deviation of an alignment's rotation [deg]."""
-    return float(np.degrees(np.sqrt(np.trace(alignment.covariance[:3, :3]))))
+def _open_deg(covariance: Float64) -> float:
+    """Return the standard deviation of the rotation of a (6, 6) covariance [deg]."""
+    return float(np.degrees(np.sqrt(np.trace(covariance[:3, :3]))))
 
 
 def _number(codes: np.ndarray, *chosen: int) -> int:

@@ -254,10 +254,21 @@ class Scorer:
         return None
 
     def posterior(self) -> Posterior:
-        """Return the posterior of what was measured; the rest has a share by its promise."""
-        scored = [place.scored for place in self.places if place.scored is not None]
+        """Return the posterior of what was measured; the rest has a share by its promise.
+
+        Poses that compete are the most accurate that can be had.
+        """
+        scored = [self._finest(place) for place in self.places if place.scored is not None]
         left = [place.promise for place in self.places if place.fit is None]
         return Posterior.of(scored, self._model.lapse, left)
+
+    def _finest(self, place: Trial) -> ScoredPose:
+        """Return a scored place, with a more accurate pose if it competes."""
+        assert place.scored is not None and place.fit is not None
+        if place.log_ratio < -self._threshold:
+            return place.scored
+        fit = self._map.finest(place.fit, self._query)
+        return replace(place.scored, T_map_local=fit.T_map_local, covariance=fit.covariance)
 
     def _begin(self) -> Trial | None:
         """Align the most promising place, from the best start about it, and return it."""

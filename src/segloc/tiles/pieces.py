@@ -164,6 +164,10 @@ class TiledCloud:
         """Align a query from a pose, and compare it, as in one map."""
         return self._at(T_map_local, query).measured(T_map_local, query, known)
 
+    def finest(self, fit: Observation, query: QueryCloud) -> Observation:
+        """Return a fit, aligned as dense as the map where that tells more."""
+        return self._at(fit.T_map_local, query).finest(fit, query)
+
     def _at(self, T_map_local: Pose, query: QueryCloud) -> MapCloud:
         return self._cloud(self._owners([T_map_local])[0], query)
 
