@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.peers.loops import ate, chained, tied
 from segloc_lab.protocols import ageing, first_fix, kidnapping, live_streams, rivals
+from segloc_lab.protocols.follower import Follower
 from segloc_lab.report import entries
 
-from segloc import Scan, geometry
+from segloc import Config, Localizer, MemoryRecording, Scan, __version__, build_map, geometry
+from segloc.live import Status
 from segloc.loops.graph import Edges
 
 
@@ -173,3 +177,21 @@ def test_an_hour_of_a_lidar_alone_at_its_smallest(
     assert "memory grows by" in (tmp_path / "report" / "REPORT.md").read_text()
     grown = [{"mb": mb} for mb in (100.0, 108.0, 103.0)]
     assert live_streams.growth(grown) == pytest.approx(0.08)
+
+
+def test_a_robot_is_followed_alike_by_the_same_version_in_another_process(plaza: Plaza) -> None:
+    walk, config = PlazaSequence(plaza, 12), Config(threads=1)
+    scans = [walk.scan(i) for i in range(len(walk))]
+    localizer = Localizer(build_map(MemoryRecording(scans), config), config)
+    here = live_streams.Stream("plaza", 0, localizer, walk, walk.poses, walk.poses, rate_hz=1.0)
+    follower = Follower(Path(sys.executable), [(scan.points, scan.T_odom_sensor) for scan in scans])
+    there = replace(here, follower=follower)
+    ours, theirs = (list(live_streams._along(each, range(6))) for each in (here, there))
+    assert follower.version == __version__ and ours[-1].state.status is Status.LOCALIZED
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.state.status is other.state.status and one.state.stamp == other.state.stamp
+        T, T_other = one.state.T_map_base, other.state.T_map_base
+        if T is None or T_other is None:
+            assert T is T_other
+        else:
+            assert np.array_equal(T, T_other)

@@ -21,16 +21,15 @@ at once; ``--add`` adds up.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from segloc import Config, Localizer, Scan, build_map, geometry
-from segloc.errors import InvalidScan
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.system.stage_times import StageTimes
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
@@ -52,6 +51,7 @@ from ..simulation import (
     simulate_sessions,
 )
 from ..stages import held_mb, processor_clock
+from .follower import Follower, taken
 
 RATE_HZ = 10.0
 STEP_M, SLOW_M, STREET_M = 1.0, 0.15, 40.0
@@ -79,6 +79,8 @@ class Stream:
         Travel between the starts of a first fix (infinite: none), and until it is given up.
     messages : sequence of Message or None
         What arrives, in order; None: the odometry of each scan, then the scan.
+    follower : Follower or None
+        Follows the robot instead of this version.
     """
 
     name: str
@@ -92,6 +94,7 @@ class Stream:
     starts_m: float = STARTS_M
     give_up_m: float = GIVE_UP_M
     messages: Sequence[Message] | None = None
+    follower: Follower | None = None
 
 
 def town_stream(sensor: str, seed: int, length_m: float, root: Path | None) -> Stream:
@@ -134,19 +137,22 @@ def followed(
     core: LiveCore, scan: Scan | None, stamp: float, T_odom_sensor: Float64 | None
 ) -> Step:
     """Add a scan, the odometry, or both, and make the queries that are due."""
-    begun = time.process_time()
-    if T_odom_sensor is not None:
-        with suppress(InvalidScan):  # as a node does
-            core.add_odometry(stamp, T_odom_sensor)
-    if scan is not None:
-        core.add_scan(scan, stamp)
-    taken, queries = time.process_time(), []
-    scan_ms = 1e3 * (taken - begun)
-    while (asked := core.due()) is not None:
-        core.answer(asked, core.ask(asked))
-        queries.append(1e3 * (time.process_time() - taken))
-        taken = time.process_time()
-    return Step(core.state, scan_ms, tuple(queries))
+    return Step(*taken(core, stamp, None if scan is None else scan.points, T_odom_sensor))
+
+
+def robot_of(stream: Stream) -> Callable[[Scan | None, float, Float64 | None], Step]:
+    """Switch on a robot; return what follows it."""
+    follower = stream.follower
+    if follower is None:
+        return partial(followed, LiveCore(stream.localizer, T_base_sensor=np.eye(4)))
+    follower.start()
+
+    def follow(scan: Scan | None, stamp: float, T_odom_sensor: Float64 | None) -> Step:
+        points = None if scan is None else scan.points
+        found, scan_ms, query_ms = follower.take(stamp, points, T_odom_sensor)
+        return Step(State(**found | {"status": Status(found["status"])}), scan_ms, query_ms)
+
+    return follow
 
 
 def within_three_sigma(state: State, truth: Float64) -> bool:
@@ -206,13 +212,11 @@ def _all(stream: Stream) -> Iterator[Step]:
     if stream.messages is None:
         yield from _along(stream, range(len(stream.odometry)))
         return
-    core, steps = LiveCore(stream.localizer, T_base_sensor=np.eye(4)), dict[int, Step]()
-    last, nothing = 0, Step(core.state, 0.0, ())
+    follow, steps = robot_of(stream), dict[int, Step]()
+    last, nothing = 0, Step(State(0.0, Status.LOST), 0.0, ())
     for what, i in stream.messages:
         scan = Scan(stream.recording.scan(i).points) if what == "scan" else None
-        step = followed(
-            core, scan, i / stream.rate_hz, stream.odometry[i] if scan is None else None
-        )
+        step = follow(scan, i / stream.rate_hz, stream.odometry[i] if scan is None else None)
         last = max(last, i)
         before = steps.get(last, nothing)
         times = before.scan_ms + step.scan_ms, before.query_ms + step.query_ms
@@ -223,10 +227,10 @@ def _all(stream: Stream) -> Iterator[Step]:
 
 
 def _along(stream: Stream, positions: range) -> Iterator[Step]:
-    core = LiveCore(stream.localizer, T_base_sensor=np.eye(4))
+    follow = robot_of(stream)
     for i in positions:
         scan = Scan(stream.recording.scan(i).points)
-        yield followed(core, scan, i / stream.rate_hz, stream.odometry[i])
+        yield follow(scan, i / stream.rate_hz, stream.odometry[i])
 
 
 def is_covered(stream: Stream) -> np.ndarray:

@@ -8,10 +8,12 @@ of the mapped path that are localized rightly, metres localized farther off than
 poses published while degraded that are within three of their own standard deviations, and processor
 time. A robot without trouble is also switched on anew every 4 m of the mapped way. Of one that
 leaves the map and comes back, the metres are counted from the map's end until it is localized.
+``--python`` has the robots followed by the version of segloc that another interpreter has.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -21,13 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from segloc import Scan, geometry
+from segloc import Scan, __version__, geometry
 from segloc.types import Derived, Float64, Int64, Recording
 
 from ..calibration.known import crowded
 from ..peers.loops import chained
 from ..report import Cell, Table, publish
 from ..runner import Runner
+from .follower import Follower
 from .kidnapping import ALIKE_KINDS, DRIFT, Carried, World, world_of
 from .live_streams import RATE_HZ, Message, Stream, is_covered, spread, stream_record
 
@@ -198,6 +201,13 @@ TROUBLES: dict[str, Callable[[Stream], Stream | None]] = {
 }
 
 
+@functools.lru_cache(maxsize=2)
+def follower_of(python: Path, world: World) -> Follower:
+    """Map a world by the version of another interpreter."""
+    mapped = (world.mapped.scan(i) for i in range(len(world.mapped)))
+    return Follower(python, [(scan.points, scan.T_odom_sensor) for scan in mapped])
+
+
 def stream_of(world: World) -> Stream:
     """The drive of a world, without trouble."""
     odometry = DRIFT.odometry(world.truths, np.random.default_rng(world.seed))
@@ -207,15 +217,17 @@ def stream_of(world: World) -> Stream:
     return Stream(*what, rate_hz=rate_hz, starts_m=np.inf)
 
 
-def record(world: World, trouble: str) -> dict[str, Any] | None:
+def record(world: World, trouble: str, python: Path | None = None) -> dict[str, Any] | None:
     """Drive with a trouble; None where it cannot be."""
-    stream = TROUBLES[trouble](stream_of(world))
+    follower = None if python is None else follower_of(python, world)
+    stream = TROUBLES[trouble](replace(stream_of(world), follower=follower))
     if stream is None:
         return None
     found = stream_record(stream)
     if TROUBLES[trouble] is out_and_back:
         found["back_m"] = _back_m(stream, found["at"])
-    return {"trouble": trouble, **found}
+    version = __version__ if follower is None else follower.version
+    return {"trouble": trouble, "version": version, **found}
 
 
 def _back_m(stream: Stream, localized: Sequence[int]) -> float | None:
@@ -228,6 +240,7 @@ def _back_m(stream: Stream, localized: Sequence[int]) -> float | None:
 
 COLUMNS = (
     "trouble",
+    "version",
     "worlds",
     "localized, of scans near the mapped path",
     "false (m)",
@@ -239,10 +252,12 @@ COLUMNS = (
 
 
 def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """Return one row a trouble."""
+    """Return one row a trouble and version."""
     rows: list[tuple[Cell, ...]] = []
-    for trouble in dict.fromkeys(r["trouble"] for r in records):
-        here = [r for r in records if r["trouble"] == trouble]
+    names = [(r["trouble"], r.get("version", __version__)) for r in records]
+    troubles = list(dict.fromkeys(trouble for trouble, _ in names))
+    for trouble, version in sorted(dict.fromkeys(names), key=lambda name: troubles.index(name[0])):
+        here = [r for r, name in zip(records, names, strict=True) if name == (trouble, version)]
         total = {
             key: sum(r[key] for r in here)
             for key in ("scans", "covered", "localized", "false_m", "degraded_false_m")
@@ -254,6 +269,7 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
         rows.append(
             (
                 trouble,
+                version,
                 len(here),
                 f"{total['localized']} of {total['covered']} "
                 f"({100 * total['localized'] / max(1, total['covered']):.1f} %)",
@@ -271,7 +287,7 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     """Publish a table of the troubles, and one of kinds of world without any."""
     plain = [r | {"trouble": r["stream"]} for r in records if r["trouble"] == "none"]
     worst = [
-        (r["trouble"], f"{r['stream']} {r['seed']}", r["false_m"])
+        (r["trouble"], r.get("version", __version__), f"{r['stream']} {r['seed']}", r["false_m"])
         for r in sorted(records, key=lambda r: -r["false_m"])
         if r["false_m"] > 0.0
     ]
@@ -280,18 +296,21 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
         "Robots in trouble",
         Table(COLUMNS, table(records)),
         Table(("world", *COLUMNS[1:]), table(plain), title="No trouble, by kind of world"),
-        Table(("trouble", "world", "false (m)"), worst, title="Where poses are false"),
+        Table(("trouble", "version", "world", "false (m)"), worst, title="Where poses are false"),
     )
 
 
 def main() -> None:
     runner = Runner(__doc__, "troubles.jsonl", first_seed=68005, worlds=10)
-    runner.options.add_argument("--troubles", nargs="+", choices=TROUBLES, default=list(TROUBLES))
+    add = runner.options.add_argument
+    add("--troubles", nargs="+", choices=TROUBLES, default=list(TROUBLES))
+    add("--python", type=Path, help="interpreter of an environment that has another version")
     args = runner.parse()
 
     def recorded(task: tuple[int, str]) -> dict[str, Any] | None:
         seed, trouble = task
-        return record(world_of(ALIKE_KINDS, seed, 0.25 if trouble == QUARTER else 0.1), trouble)
+        world = world_of(ALIKE_KINDS, seed, 0.25 if trouble == QUARTER else 0.1)
+        return record(world, trouble, args.python)
 
     tasks = itertools.product(runner.seeds, args.troubles)
     report(runner.run(recorded, tasks, ("seed", "trouble")), args.report)
