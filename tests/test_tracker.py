@@ -142,6 +142,22 @@ def test_a_view_speaks_against_a_pose_that_another_place_near_by_draws_away(
     assert right is wrong if metres < 3.0 else wrong is not None and wrong.evidence < -1.0
 
 
+def test_wheels_that_slip_are_noticed_by_a_view_and_corrected_by_the_scan_after(
+    plaza_map: SegmentMap, plaza: Plaza
+) -> None:
+    tracker = Tracker(Localizer(plaza_map), TrackerConfig(every_m=20.0))
+    slip, off = geometry.yaw_transform(0.0, (1.5, 0.0, 0.0)), []
+    for k in range(32):
+        T = geometry.yaw_transform(0.0, (-12 + 0.5 * k, 1.0, 1.8))
+        known = odometry(T) @ (slip if k >= 16 else np.eye(4))
+        track = tracker.update(plaza.scan(T, posed=False, seed=k), known)
+        assert track.T_map_odom is not None
+        error = geometry.inverse(T) @ track.T_map_odom @ known
+        off.append(float(np.linalg.norm(error[:3, 3])))
+    assert max(off[:16]) < 0.3 and off[16] > 1.0
+    assert max(off[17:]) < 0.3
+
+
 def test_a_walk_elsewhere_is_never_localized(plaza_map: SegmentMap) -> None:
     tracks = walk(Tracker(Localizer(plaza_map)), Plaza(1), count=8, step=4.0)
     assert not any(track.localized for track in tracks)

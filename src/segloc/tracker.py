@@ -42,6 +42,8 @@ _WEAK = 1.5
 """Evidence of a view for the track, below which the map is searched at once."""
 _HEIGHT_SIGMAS = 3.0
 """Standard deviations of an observed height beyond which a place is elsewhere."""
+_SOONER = 0.25
+"""Share of the travel between views after which a correction is looked at again."""
 _MAX_CHECKED, _MIN_CHECKED_P = 4, 0.01
 """Most hypotheses that a view is compared at, and their least probability."""
 
@@ -219,10 +221,17 @@ class Tracker:
         every = config.every_m if localized else min(config.every_m, config.searching_m)
         search = due or self.travelled - self._searched >= every
         # Of the scans, a view takes the one that is nearest to its distance.
-        is_near = self.travelled - self._viewed + 0.5 * metres >= config.check_m
+        is_near = self.travelled - self._viewed + 0.5 * metres >= self._view_m
         if search or (self._probable and is_near):
             return self._request(scans, T, search, localized)
         return None
+
+    @property
+    def _view_m(self) -> float:
+        """Travel from one view to the next: less if a correction waits to be repeated."""
+        track = self.belief.track
+        doubts = track is not None and track.doubted is not None
+        return self.config.check_m * (_SOONER if doubts else 1.0)
 
     @property
     def _probable(self) -> list[Hypothesis]:

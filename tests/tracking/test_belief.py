@@ -196,6 +196,18 @@ def test_a_pose_is_corrected_as_far_as_measurement_and_odometry_allow() -> None:
     assert robot.drives(2.0, (turned, FITS)).is_at(turned)  # and another
 
 
+def test_a_leaning_robot_is_corrected_where_planar_odometry_knows_nothing_of_it() -> None:
+    def leaning(x: float, degrees: float) -> Pose:
+        T_sensor = geometry.yaw_transform(0.0, (x, 0.0, 0.0))
+        lean = np.array([np.radians(degrees), 0.0, 0.0, 0.0, 0.0, 0.0])
+        return geometry.displace(HERE @ T_sensor, lean) @ geometry.inverse(T_sensor)
+
+    robot = Robot().searches((HERE, 8.0)).drives(10.0, (HERE, FITS))
+    robot.drives(2.0, (leaning(12.0, 25.0), FITS))
+    assert robot.is_at(HERE)  # one scan alone
+    assert robot.drives(2.0, (leaning(14.0, 22.0), FITS)).is_at(leaning(14.0, 22.0))
+
+
 def test_height_follows_the_map_where_planar_odometry_climbs_stairs() -> None:
     robot = Robot().searches((HERE, 8.0)).drives(10.0, (HERE, FITS))
     for climbed in np.arange(1, 8) * 0.6:

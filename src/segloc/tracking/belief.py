@@ -140,8 +140,8 @@ class Hypothesis:
     ``evidence`` is that of the newest view here, taken at ``seen_at``; ``height`` is the log-ratio
     of the newest observed height, which the probability contains. ``views`` counts the views
     that support it, overlapping ones by their new share. It is ``accepted`` from ``min_confidence``
-    on, for as long as it is more probable than not. ``doubted`` is a pose that a single view has
-    moved too far.
+    on, for as long as it is more probable than not. ``doubted`` has the pose to which a single
+    view has moved it too far.
     """
 
     key: int
@@ -154,7 +154,7 @@ class Hypothesis:
     seen_at: float = -math.inf
     views: float = 1.0
     accepted: bool = False
-    doubted: Pose | None = None
+    doubted: Hypothesis | None = None
     height: float = 0.0
 
 
@@ -366,16 +366,20 @@ class Belief:
                 T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
-                h.doubted = T
+                h.doubted = replace(h, T_map_odom=T, covariance=covariance, doubted=None)
+                h.doubted.T_odom_sensor, h.doubted.at = T_sensor, view.at
                 return
         h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
         h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
 
-    def _repeats(self, doubted: Pose, seen: Reading, T_odom_sensor: Pose) -> bool:
-        """Return whether two measured poses agree, by the covariance of one."""
-        assert seen.covariance is not None
-        step = geometry.displacement(doubted @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
-        squared = step @ np.linalg.solve(2.0 * seen.covariance, step)
+    def _repeats(self, doubted: Hypothesis, seen: Reading, T_odom_sensor: Pose) -> bool:
+        """Return whether a measured pose agrees with a doubted one, carried on by odometry."""
+        predicted = self._predict(doubted, T_odom_sensor)
+        assert seen.covariance is not None and predicted is not None
+        step = geometry.displacement(
+            doubted.T_map_odom @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor
+        )
+        squared = step @ np.linalg.solve(predicted + seen.covariance, step)
         return bool(squared <= _MOST_SQUARED)
 
     def _merge(self, view: View) -> None:
