@@ -1,12 +1,16 @@
 """Follow robots by any version of segloc, in a process of its own.
 
-As a script it imports nothing but ``segloc``, and runs with whatever version an interpreter has.
+As a script it imports nothing but ``segloc``, and runs with whatever version an interpreter has:
+
+    python -m segloc_lab.protocols.follower
+
 Its stdin and stdout carry pickles: the scans of a map and their poses, then None for a new robot or
 what arrives, for which the state of the robot and processor times are returned.
 """
 
 from __future__ import annotations
 
+import argparse
 import pickle
 import subprocess
 import sys
@@ -86,6 +90,8 @@ def taken(core: Any, stamp: float, points: Any, T_odom_sensor: Any) -> Any:
 
 
 def main() -> None:
+    shown = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=shown).parse_args()
     answers, sys.stdout = sys.stdout.buffer, sys.stderr
     read = partial(pickle.load, sys.stdin.buffer)
     answer: Any = segloc.__version__
