@@ -219,7 +219,7 @@ class Belief:
         """Follow a jump of the odometry, as of a robot at rest."""
         for h in self.hypotheses:
             h.T_map_odom = h.T_map_odom @ geometry.inverse(T_new_old)
-            h.T_odom_sensor = T_new_old @ h.T_odom_sensor
+            h.T_odom_sensor, h.doubted = T_new_old @ h.T_odom_sensor, None
         if self.height is not None:
             self.height = replace(self.height, T_odom_sensor=T_new_old @ self.height.T_odom_sensor)
         self.problem = problem
@@ -351,7 +351,7 @@ class Belief:
     def _move(self, h: Hypothesis, seen: Reading, view: View) -> None:
         """Correct the pose by a measured one, both by their covariances.
 
-        A correction beyond what both allow is made once the next view repeats it.
+        A correction beyond what both allow is made once another view repeats it.
         """
         before, T_sensor = self._predict(h, view.T_odom_sensor), view.T_odom_sensor
         if seen.covariance is None or view.new == 0.0:
@@ -366,8 +366,8 @@ class Belief:
                 T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
-                h.doubted = replace(h, T_map_odom=T, covariance=covariance, doubted=None)
-                h.doubted.T_odom_sensor, h.doubted.at = T_sensor, view.at
+                doubted = replace(h, T_map_odom=T, covariance=covariance, doubted=None)
+                h.doubted = replace(doubted, T_odom_sensor=T_sensor, at=view.at)
                 return
         h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
         h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
