@@ -126,6 +126,8 @@ class Trial:
         After alignment with some of the points.
     fit : Observation or None
         After alignment with all points.
+    finest : Observation or None
+        The same at the most accurate pose, once it competes.
     scored : ScoredPose or None
         Score of the fit beside the other places.
     rough, promise : float
@@ -140,6 +142,7 @@ class Trial:
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
     fit: Observation | None = None
+    finest: Observation | None = None
     scored: ScoredPose | None = None
     rough: float = -math.inf
     promise: float = -math.inf
@@ -267,8 +270,10 @@ class Scorer:
         assert place.scored is not None and place.fit is not None
         if place.log_ratio < -self._threshold:
             return place.scored
-        fit = self._map.finest(place.fit, self._query)
-        return replace(place.scored, T_map_local=fit.T_map_local, covariance=fit.covariance)
+        if place.finest is None:
+            place.finest = self._map.finest(place.fit, self._query)
+        T_map_local, covariance = place.finest.T_map_local, place.finest.covariance
+        return replace(place.scored, T_map_local=T_map_local, covariance=covariance)
 
     def _begin(self) -> Trial | None:
         """Align the most promising place, from the best start about it, and return it."""

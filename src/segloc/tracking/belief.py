@@ -366,8 +366,14 @@ class Belief:
                 T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
             elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
-                doubted = replace(h, T_map_odom=T, covariance=covariance, doubted=None)
-                h.doubted = replace(doubted, T_odom_sensor=T_sensor, at=view.at)
+                h.doubted = replace(
+                    h,
+                    T_map_odom=T,
+                    T_odom_sensor=T_sensor,
+                    covariance=covariance,
+                    at=view.at,
+                    doubted=None,
+                )
                 return
         h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
         h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
