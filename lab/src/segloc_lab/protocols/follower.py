@@ -26,8 +26,9 @@ import numpy as np
 
 import segloc
 from segloc.errors import InvalidScan
-from segloc.live import LiveCore
+from segloc.live import LiveCore, State, Status
 
+Taken = tuple[State, float, tuple[float, ...]]
 FIELDS = ("stamp", "T_map_odom", "T_odom_base", "covariance")
 
 
@@ -56,10 +57,10 @@ class Follower:
         """Switch on another robot."""
         self._call(None)
 
-    def take(self, *arrived: Any) -> tuple[dict[str, Any], float, tuple[float, ...]]:
-        """Return the state after a stamp with points, odometry or both, and times [ms]."""
-        found: tuple[dict[str, Any], float, tuple[float, ...]] = self._call(arrived)
-        return found
+    def take(self, stamp: float, points: Any, T_odom_sensor: Any) -> Taken:
+        """Return what :func:`taken` does, of that version."""
+        found, *times = self._call((stamp, points, T_odom_sensor))
+        return State(**found | {"status": Status(found["status"])}), *times
 
     def _call(self, what: Any) -> Any:
         stdin, stdout = self._process.stdin, self._process.stdout
@@ -74,8 +75,11 @@ def ended(process: subprocess.Popen[bytes]) -> None:
     process.communicate()
 
 
-def taken(core: Any, stamp: float, points: Any, T_odom_sensor: Any) -> Any:
-    """Add a scan, the odometry, or both, and make the queries that are due."""
+def taken(core: LiveCore, stamp: float, points: Any, T_odom_sensor: Any) -> Taken:
+    """Return the state after a scan, the odometry, or both, with the queries that are due.
+
+    With the processor times of scan and odometry, and of each query [ms].
+    """
     begun = time.process_time()
     if T_odom_sensor is not None:
         with suppress(InvalidScan):  # as a node does

@@ -33,7 +33,7 @@ from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc.live import LidarOdometry, LiveCore, State, Status
 from segloc.system.stage_times import StageTimes
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
-from segloc.types import Float64, Int64, Recording
+from segloc.types import Float32, Float64, Int64, Recording
 
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
 from ..outcomes import pose_error
@@ -51,7 +51,7 @@ from ..simulation import (
     simulate_sessions,
 )
 from ..stages import held_mb, processor_clock
-from .follower import Follower, taken
+from .follower import Follower, Taken, taken
 
 RATE_HZ = 10.0
 STEP_M, SLOW_M, STREET_M = 1.0, 0.15, 40.0
@@ -133,26 +133,12 @@ class Step:
     query_ms: tuple[float, ...]
 
 
-def followed(
-    core: LiveCore, scan: Scan | None, stamp: float, T_odom_sensor: Float64 | None
-) -> Step:
-    """Add a scan, the odometry, or both, and make the queries that are due."""
-    return Step(*taken(core, stamp, None if scan is None else scan.points, T_odom_sensor))
-
-
-def robot_of(stream: Stream) -> Callable[[Scan | None, float, Float64 | None], Step]:
-    """Switch on a robot; return what follows it."""
-    follower = stream.follower
-    if follower is None:
-        return partial(followed, LiveCore(stream.localizer, T_base_sensor=np.eye(4)))
-    follower.start()
-
-    def follow(scan: Scan | None, stamp: float, T_odom_sensor: Float64 | None) -> Step:
-        points = None if scan is None else scan.points
-        found, scan_ms, query_ms = follower.take(stamp, points, T_odom_sensor)
-        return Step(State(**found | {"status": Status(found["status"])}), scan_ms, query_ms)
-
-    return follow
+def robot_of(stream: Stream) -> Callable[[float, Float32 | None, Float64 | None], Taken]:
+    """Switch on a robot; return what takes a stamp with points, odometry or both."""
+    if stream.follower is None:
+        return partial(taken, LiveCore(stream.localizer, T_base_sensor=np.eye(4)))
+    stream.follower.start()
+    return stream.follower.take
 
 
 def within_three_sigma(state: State, truth: Float64) -> bool:
@@ -215,8 +201,9 @@ def _all(stream: Stream) -> Iterator[Step]:
     follow, steps = robot_of(stream), dict[int, Step]()
     last, nothing = 0, Step(State(0.0, Status.LOST), 0.0, ())
     for what, i in stream.messages:
-        scan = Scan(stream.recording.scan(i).points) if what == "scan" else None
-        step = follow(scan, i / stream.rate_hz, stream.odometry[i] if scan is None else None)
+        points = stream.recording.scan(i).points if what == "scan" else None
+        odometry = stream.odometry[i] if what == "odometry" else None
+        step = Step(*follow(i / stream.rate_hz, points, odometry))
         last = max(last, i)
         before = steps.get(last, nothing)
         times = before.scan_ms + step.scan_ms, before.query_ms + step.query_ms
@@ -229,8 +216,8 @@ def _all(stream: Stream) -> Iterator[Step]:
 def _along(stream: Stream, positions: range) -> Iterator[Step]:
     follow = robot_of(stream)
     for i in positions:
-        scan = Scan(stream.recording.scan(i).points)
-        yield follow(scan, i / stream.rate_hz, stream.odometry[i])
+        points = stream.recording.scan(i).points
+        yield Step(*follow(i / stream.rate_hz, points, stream.odometry[i]))
 
 
 def is_covered(stream: Stream) -> np.ndarray:

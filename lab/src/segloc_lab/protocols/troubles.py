@@ -254,7 +254,7 @@ COLUMNS = (
 def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
     """Return one row a trouble and version."""
     rows: list[tuple[Cell, ...]] = []
-    names = [(r["trouble"], r.get("version", __version__)) for r in records]
+    names = [(r["trouble"], r["version"]) for r in records]
     troubles = list(dict.fromkeys(trouble for trouble, _ in names))
     for trouble, version in sorted(dict.fromkeys(names), key=lambda name: troubles.index(name[0])):
         here = [r for r, name in zip(records, names, strict=True) if name == (trouble, version)]
@@ -287,7 +287,7 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     """Publish a table of the troubles, and one of kinds of world without any."""
     plain = [r | {"trouble": r["stream"]} for r in records if r["trouble"] == "none"]
     worst = [
-        (r["trouble"], r.get("version", __version__), f"{r['stream']} {r['seed']}", r["false_m"])
+        (r["trouble"], r["version"], f"{r['stream']} {r['seed']}", r["false_m"])
         for r in sorted(records, key=lambda r: -r["false_m"])
         if r["false_m"] > 0.0
     ]
