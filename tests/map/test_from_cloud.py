@@ -266,6 +266,23 @@ def test_a_turned_cloud_is_levelled_and_answers_are_known_in_its_own_frame(
     assert max(errors) < 0.5
 
 
+def test_trees_without_ground_are_levelled_by_the_lie_of_the_land() -> None:
+    rng, R = np.random.default_rng(2), TILTED
+    feet = np.column_stack([rng.uniform(0, 200, (300, 2)), np.zeros(300)])
+    feet[:, 2] = np.sin(feet[:, 0] / 10)
+    trees = feet[:, None] + rng.uniform([-0.6, -0.6, 0.4], [0.6, 0.6, 6], (300, 300, 3))
+    cloud, notes = trees.reshape(-1, 3) @ R.T, list[str]()
+    SegmentMap.from_cloud(cloud, CONFIG, note=notes.append)
+    assert any("a slope of 20 degrees" in note and "--level" in note for note in notes)
+    level = Config(threads=1, mapping={"level": True})
+    site = SegmentMap.from_cloud(cloud, level, note=notes.append)
+    up = site.T_map_cloud[:3, :3] @ R[:, 2]
+    assert np.degrees(np.arccos(up[2])) < 1.0
+    assert any("by the lie of the land" in note for note in notes)
+    with pytest.raises(DatasetError, match="no plane"):
+        SegmentMap.from_cloud(cloud[:3000], level)
+
+
 def test_a_trajectory_is_turned_with_its_cloud(plaza: Plaza) -> None:
     walk, T = PlazaSequence(plaza, 6), np.eye(4)
     T[:3, :3] = TILTED

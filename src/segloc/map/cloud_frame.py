@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from .. import _native, geometry
 from ..errors import DatasetError
-from ..frontend.gravity import AttitudeConfig
+from ..frontend.gravity import AttitudeConfig, angle_deg
 from ..frontend.local_cloud import LocalCloudConfig
 from ..frontend.surfaces import Surfaces
 from ..frontend.tilt import Tilt, frame_tilt, level_transform
@@ -134,6 +135,7 @@ _AROUND = 32  # of these places; fewer are the roof of a car, or the top of a bo
 _MIN_SHARE, _MOST = 0.1, 0.7  # of flat places across a direction
 _SURE, _UNSURE, _TELLING = 0.6, 0.6, 0.3  # of the balance of what is above and below
 _LOW, _LOWEST = 0.5, 0.35  # extent along the vertical, as a share of that along z, and of all
+_MIN_LOWS, _MAX_LAND_SPREAD_DEG = 50, 1.0  # lowest points that show how land lies, of both halves
 
 
 @dataclass(frozen=True)
@@ -190,11 +192,14 @@ class CloudFrame:
         What is wrong with its axes, or "".
     T_level_cloud : (4, 4) float64 or None
         Rotation to a level frame; None if the vertical is not known.
+    land : Tilt or None
+        Of the lie of the land, if the walls do not show the vertical: it may be a slope.
     """
 
     tilt: Tilt | None
     fault: str = ""
     T_level_cloud: Pose | None = None
+    land: Tilt | None = None
 
     def require_up(self) -> None:
         """Refuse a cloud whose z axis is clearly not up, by a :class:`DatasetError`."""
@@ -209,8 +214,10 @@ class CloudFrame:
             )
 
 
-def cloud_frame(views: Sequence[Float32], eyes: Float64, attitude: AttitudeConfig) -> CloudFrame:
-    """Tell how the frame of a cloud lies, by its floors and walls.
+def cloud_frame(
+    views: Sequence[Float32], eyes: Float64, lows: Float64, attitude: AttitudeConfig
+) -> CloudFrame:
+    """Tell how the frame of a cloud lies, by its floors and walls, or else by its lowest points.
 
     Parameters
     ----------
@@ -218,6 +225,8 @@ def cloud_frame(views: Sequence[Float32], eyes: Float64, attitude: AttitudeConfi
         Parts of the cloud, each around its own middle.
     eyes : (K, 3) float64
         These middles.
+    lows : (M, 3) float64
+        The lowest points, one of each part of the cloud.
     attitude : AttitudeConfig
     """
     measure = _Measure(views, eyes, attitude)
@@ -229,7 +238,31 @@ def cloud_frame(views: Sequence[Float32], eyes: Float64, attitude: AttitudeConfi
                 return _turn(each)
     if z.balance < -_SURE and z.share > _MIN_SHARE:
         return _turn(z)
-    return CloudFrame(z.tilt, "", None if z.tilt is None else level_transform(z.tilt, np.eye(4)))
+    land = _land_tilt(lows) if z.tilt is None else None
+    tilt = z.tilt or land
+    T_level_cloud = None if tilt is None else level_transform(tilt, np.eye(4))
+    return CloudFrame(z.tilt, "", T_level_cloud, land)
+
+
+def _land_tilt(lows: Float64) -> Tilt | None:
+    """Return the tilt of the plane of the lowest points; None if they lie in none."""
+    if len(lows) < _MIN_LOWS:
+        return None
+    first, second, up = (_upright_to(part) for part in (lows[::2], lows[1::2], lows))
+    spread = angle_deg(first, second)
+    return Tilt(up, spread) if spread < _MAX_LAND_SPREAD_DEG else None
+
+
+def _upright_to(points: Float64) -> Float64:
+    """Return the unit vector normal to the plane of points (N, 3), of which some lie above."""
+    x, y, z = (points - np.median(points, axis=0)).T
+
+    def above(plane: Float64) -> Float64:
+        return np.asarray(z - plane @ np.stack([x, y, np.ones_like(x)]))
+
+    east, north, _ = least_squares(above, np.zeros(3), loss="soft_l1").x
+    up = np.array([-east, -north, 1.0])
+    return np.asarray(up / np.linalg.norm(up))
 
 
 class _Measure:

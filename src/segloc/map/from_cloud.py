@@ -26,6 +26,7 @@ from ..types import Bools, Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
 from .cloud_frame import (
     LEVEL,
+    MAX_TILT_DEG,
     UNCHECKED,
     CloudFrame,
     Dropped,
@@ -219,7 +220,8 @@ class ThinCloud:
         keys = [full[k] for k in geometry.spread(len(full), _FRAME_VIEWS)]
         eyes = np.array([np.median(self._columns[key][0], axis=0) for key in keys], np.float64)
         views = [self.near(eye, _FRAME_RADIUS_M) - eye.astype(np.float32) for eye in eyes]
-        return cloud_frame(views, eyes, attitude)
+        lows = [part[part[:, 2].argmin()] for part in (self._columns[key][0] for key in full)]
+        return cloud_frame(views, eyes, np.array(lows, np.float64), attitude)
 
     def spacing(self) -> float:
         """The distance of a point to its neighbours [m], at least about a voxel."""
@@ -407,13 +409,19 @@ def _in_map_frame(
     if not config.mapping.level:
         if check:
             frame.require_up()
+        land = frame.land
+        if land is not None and land.is_significant and land.tilt_deg > MAX_TILT_DEG:
+            note(
+                f"the lowest points lie across a slope of {land.tilt_deg:.0f} degrees, and too few "
+                f"walls show whether the frame is tilted: if the land is level, {LEVEL}"
+            )
         if not (frame.fault or (frame.tilt is not None and frame.tilt.is_significant)):
             return cloud, np.eye(4), {}
         text = frame.fault if frame.tilt is None else tilt_text(frame.tilt)
         note(f"the cloud's frame is not level: {text}; {LEVEL}")
         return cloud, np.eye(4), {"frame": text}
     if frame.T_level_cloud is None:
-        why = frame.fault or "it shows too few floors and walls"
+        why = frame.fault or "it shows too few floors and walls, and its lowest points no plane"
         raise DatasetError(
             f"the cloud cannot be levelled: {why}; leave out --level (mapping.level)"
         )
@@ -421,7 +429,8 @@ def _in_map_frame(
     T_map_cloud[:3, 3] = at - T_map_cloud[:3, :3] @ at
     degrees = math.degrees(geometry.rotation_angle(T_map_cloud))
     text = f"turned by {degrees:.1f} degrees, so that z is up"
-    note(f"the cloud is {text}")
+    by = "" if frame.land is None else ", by the lie of the land: too few walls show the vertical"
+    note(f"the cloud is {text}{by}")
     kept = {"frame": text, CLOUD_FRAME: json.dumps(T_map_cloud.tolist())}
     return cloud.transform(T_map_cloud), T_map_cloud, kept
 
