@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
 from segloc.tools.datasets import open_sequence
 from segloc.tools.io import clouds
-from segloc.types import Float64, Pose
+from segloc.types import Float64, Int64, Pose
 
 from .. import kitti00
 from ..outcomes import pose_error
@@ -84,8 +84,7 @@ class Site:
     def altered(self, name: str, points: Float64) -> Float64:
         """Return points of the site, (N, 3), where they are in a cloud that is altered."""
         if name in TILTED:
-            moved: Float64 = geometry.transform(TILTED[name], points)
-            return moved
+            return geometry.transform(TILTED[name], points)
         if name == BENT:
             low, high = self.cloud[:, 0].min(), self.cloud[:, 0].max()
             bow: Float64 = np.sin(np.pi * (points[:, :1] - low) / (high - low)) * BOW
@@ -95,15 +94,16 @@ class Site:
     def altered_cloud(self, name: str) -> Float64:
         """Return the altered cloud."""
         if name in THINNED:
-            return self.cloud[_first(np.floor(self.cloud / THINNED[name]))]
+            cells = np.floor(self.cloud / THINNED[name])
+            kept: Int64 = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+            return self.cloud.take(kept, axis=0)
         if name == CUT:
-            _, square = np.unique(
-                np.floor(self.cloud[:, :2] / SQUARE_M), axis=0, return_inverse=True
-            )
+            squares = np.floor(self.cloud[:, :2] / SQUARE_M)
+            square = np.unique(squares, axis=0, return_inverse=True)[1].ravel()
             lowest = np.full(square.max() + 1, np.inf)
-            np.minimum.at(lowest, square.ravel(), self.cloud[:, 2])
-            stands: Float64 = self.cloud[self.cloud[:, 2] > lowest[square.ravel()] + GROUND_M]
-            return stands
+            np.minimum.at(lowest, square, self.cloud[:, 2])
+            stands = np.flatnonzero(self.cloud[:, 2] > lowest[square] + GROUND_M)
+            return self.cloud.take(stands, axis=0)
         return self.altered(name, self.cloud)
 
     def truths_in(self, name: str, prior_map: SegmentMap) -> Float64:
@@ -112,11 +112,6 @@ class Site:
         truths[:, :3, 3] = self.altered(name, self.truths[:, :3, 3])
         found: Float64 = prior_map.T_map_cloud @ truths
         return found
-
-
-def _first(cells: Float64) -> np.ndarray:
-    """Return the first point of each cell, in order."""
-    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
 
 
 def site_of(name: str, data: Path) -> Site:
