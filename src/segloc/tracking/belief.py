@@ -358,35 +358,26 @@ class Belief:
             return
         T, covariance = seen.T_map_odom, seen.covariance
         if before is not None:
-            step = geometry.displacement(h.T_map_odom @ T_sensor, T @ T_sensor)
-            both = before + seen.covariance / view.new
-            if step @ np.linalg.solve(both, step) <= _MOST_SQUARED:
+            step, both = _step(h, seen, T_sensor), before + seen.covariance / view.new
+            if _allows(both, step):
                 gain = np.linalg.solve(both, before).T
                 T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
                 T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
-            elif h.doubted is None or not self._repeats(h.doubted, seen, T_sensor):
-                h.doubted = replace(
-                    h,
-                    T_map_odom=T,
-                    T_odom_sensor=T_sensor,
-                    covariance=covariance,
-                    at=view.at,
-                    doubted=None,
-                )
+            elif not self._repeats(h.doubted, seen, T_sensor):
+                there = replace(h, T_map_odom=T, T_odom_sensor=T_sensor, covariance=covariance)
+                h.doubted = replace(there, at=view.at, doubted=None)
                 return
         h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
         h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
 
-    def _repeats(self, doubted: Hypothesis, seen: Reading, T_odom_sensor: Pose) -> bool:
+    def _repeats(self, doubted: Hypothesis | None, seen: Reading, T_odom_sensor: Pose) -> bool:
         """Return whether a measured pose agrees with a doubted one, carried on by odometry."""
+        if doubted is None:
+            return False
         predicted = self._predict(doubted, T_odom_sensor)
         assert seen.covariance is not None and predicted is not None
-        step = geometry.displacement(
-            doubted.T_map_odom @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor
-        )
-        squared = step @ np.linalg.solve(predicted + seen.covariance, step)
-        return bool(squared <= _MOST_SQUARED)
+        return _allows(predicted + seen.covariance, _step(doubted, seen, T_odom_sensor))
 
     def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
@@ -417,3 +408,13 @@ class Belief:
 
     def _loss_reason(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"
+
+
+def _step(h: Hypothesis, seen: Reading, T_odom_sensor: Pose) -> Float64:
+    """Return the displacement of the sensor from a hypothesis to a measured pose, (6,)."""
+    return geometry.displacement(h.T_map_odom @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
+
+
+def _allows(covariance: Float64, step: Float64) -> bool:
+    """Return whether a displacement (6,) is likely by its covariance (6, 6)."""
+    return bool(step @ np.linalg.solve(covariance, step) <= _MOST_SQUARED)
