@@ -59,15 +59,23 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How the cases of a group compare with those stored."""
+    """How cases compare with those stored; ``off`` are differences where arithmetic may differ."""
 
     exact: int
     loose: int
     differences: list[Difference]
+    off: list[Difference]
 
     @property
     def same(self) -> bool:
-        return not self.differences
+        return not self.differences and len(self.off) <= (1 - MIN_SHARE) * self.loose
+
+    def __add__(self, other: Comparison) -> Comparison:
+        differences, off = self.differences + other.differences, self.off + other.off
+        return Comparison(self.exact + other.exact, self.loose + other.loose, differences, off)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.differences + self.off))
 
 
 def compare(
@@ -85,9 +93,7 @@ def compare(
         else:
             loose += 1
             off += _loose(case, before, now)
-    if len(off) > (1 - MIN_SHARE) * loose:
-        differences += off
-    return Comparison(len(found) - loose, loose, differences)
+    return Comparison(len(found) - loose, loose, differences, off)
 
 
 def _exact(case: str, before: Record, now: Record) -> Iterator[Difference]:
@@ -159,7 +165,7 @@ def main() -> None:
     if unknown := sorted(set(args.groups) - set(GROUPS)):
         options.error(f"no such group: {', '.join(unknown)}; there are {', '.join(GROUPS)}")
     context = multiprocessing.get_context("spawn")
-    failed = False
+    failed, whole = False, Comparison(0, 0, [], [])
     with ProcessPoolExecutor(args.workers, mp_context=context) as pool:
         running = {pool.submit(answers, name): name for name in args.groups or GROUPS}
         for done in as_completed(running):
@@ -174,10 +180,11 @@ def main() -> None:
                 print(f"{name}: {len(cases)} cases stored ({seconds:.0f} s)", flush=True)
                 continue
             compared = check(name, cases)
-            failed |= not compared.same
+            whole += compared
             how = "bit for bit" if not compared.loose else f"{compared.loose} of them loosely"
-            state = "same" if compared.same else f"{len(compared.differences)} differences"
+            count = len(compared.differences + compared.off)
+            state = f"{count} differences" if count else "same"
             print(f"{name}: {len(cases)} cases, {how}: {state} ({seconds:.0f} s)", flush=True)
-            for difference in compared.differences:
-                print(difference, flush=True)
-    sys.exit(int(failed))
+            if count:
+                print(compared, flush=True)
+    sys.exit(int(failed or not whole.same))
