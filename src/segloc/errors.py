@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _MORE_LINES = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 _LONGEST = 3000
@@ -63,6 +65,15 @@ class MissingDependency(SeglocError, ImportError):
 
     def __reduce__(self) -> tuple[type[MissingDependency], tuple[str, str, str]]:
         return type(self), self._needed  # picklable, for other processes
+
+
+@contextmanager
+def requires(package: str, extra: str, purpose: str) -> Iterator[None]:
+    """Report an import that fails in a ``with`` block as a :class:`MissingDependency`."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingDependency(package, extra, purpose) from error
 
 
 class LiveError(SeglocError):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import geometry
-from .errors import InvalidScan, MissingDependency
+from .errors import InvalidScan, requires
 from .motion import times_fit
 from .types import Float64, Pose, Scan
 
@@ -136,11 +136,9 @@ class ScanOdometry:
 
 
 def _kiss_icp(max_range_m: float, voxel_m: float) -> Any:
-    try:
+    with requires("kiss-icp", "odometry", "LiDAR odometry"):
         from kiss_icp.config.parser import load_config
         from kiss_icp.kiss_icp import KissICP
-    except ImportError as error:
-        raise MissingDependency("kiss-icp", "odometry", "LiDAR odometry") from error
     config = load_config(None)
     config.data.max_range = max_range_m
     config.mapping.voxel_size = voxel_m

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigError, MapFormatError, MissingDependency
+from ..errors import ConfigError, MapFormatError, requires
 from ..system.checks import MAX_METRES
 from ..types import Float64
 
@@ -101,10 +101,8 @@ class Georeference:
 @lru_cache(maxsize=4)
 def _transformers(epsg: int) -> tuple[Any, Any]:
     """Return transformers from WGS 84 to a projected frame, and back."""
-    try:
+    with requires("pyproj", "geo", f"EPSG:{epsg}"):
         import pyproj
-    except ImportError as error:
-        raise MissingDependency("pyproj", "geo", f"EPSG:{epsg}") from error
     try:
         frame = pyproj.CRS.from_epsg(epsg)
     except pyproj.exceptions.CRSError as error:

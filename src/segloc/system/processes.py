@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
-from ..errors import MissingDependency, SeglocError
+from ..errors import SeglocError, requires
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -198,10 +198,8 @@ def cluster(address: str, timeout_s: float = 20.0) -> Iterator[Executor]:
     SeglocError
         If no scheduler answers, or a task ended several workers.
     """
-    try:
+    with requires("distributed", "cluster", "a Dask cluster"):
         from distributed import Client, KilledWorker
-    except ImportError as error:
-        raise MissingDependency("distributed", "cluster", "a Dask cluster") from error
     try:
         client = Client(address, timeout=timeout_s)
     except (OSError, ValueError, TimeoutError) as error:

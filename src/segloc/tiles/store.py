@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from ..errors import MapFormatError, MissingDependency, SeglocError
+from ..errors import MapFormatError, SeglocError, requires
 from ..system.files import replacing
 from ..system.locks import exclusive
 from .index import INDEX, TileFile, digest_of
@@ -63,10 +63,8 @@ class Remote:
     """Store at a URL of fsspec, with the methods of :class:`Folder`."""
 
     def __init__(self, where: str) -> None:
-        try:
+        with requires("fsspec", "tiles", f"opening {where}"):
             from fsspec.core import url_to_fs
-        except ImportError as error:
-            raise MissingDependency("fsspec", "tiles", f"opening {where}") from error
         try:
             self._files, self._root = url_to_fs(where)
         except (ImportError, ValueError) as error:

@@ -236,9 +236,12 @@ def test_make_demo_does_not_compile_what_pip_has_installed(tmp_path: Path) -> No
 def test_a_missing_package_is_named_as_its_extra_declares_it() -> None:
     """The command of the message installs a version that segloc works with."""
     declared = metadata.requires("segloc") or []
+    named = ("MissingDependency", "requires")
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) == "MissingDependency":
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in named:
+                if not all(isinstance(each, ast.Constant) for each in node.args[:2]):
+                    continue  # by ``requires`` itself
                 package, extra = (ast.literal_eval(each) for each in node.args[:2])
                 message = str(MissingDependency(package, extra, "this"))
                 found = re.fullmatch(r".* pip install '(.*)'", message)

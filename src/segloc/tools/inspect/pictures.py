@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import MissingDependency
+from ...errors import requires
 from ...geometry import PATH_BREAK_M
 
 if TYPE_CHECKING:
@@ -71,11 +71,9 @@ def blank(size_in: tuple[float, float], dpi: int, **options: Any) -> Figure:
     MissingDependency
         If matplotlib is not installed.
     """
-    try:
+    with requires("matplotlib", "report", "drawing"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependency("matplotlib", "report", "drawing") from error
     figure = Figure(figsize=size_in, dpi=dpi, facecolor="white", **options)
     FigureCanvasAgg(figure)
     return figure

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...errors import MissingDependency
+from ...errors import requires
 from ...localization import Localization
 from ...map.segment_map import SegmentMap
 from ...types import Float64, Pose
@@ -97,9 +97,7 @@ def _extent(points: Float64) -> tuple[Float64, Float64]:
 
 
 def _new_axes() -> Axes:
-    try:
+    with requires("matplotlib", "report", "drawing"):
         from matplotlib import pyplot
-    except ImportError as error:
-        raise MissingDependency("matplotlib", "report", "drawing") from error
     axes: Axes = pyplot.figure(figsize=(8.0, 8.0), layout="constrained").add_subplot()
     return axes

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import MissingDependency, SeglocError
+from ...errors import SeglocError, requires
 from ...map.segment_map import SegmentMap
 from ...system.text import quantity
 from ...types import Float64, Pose
@@ -396,10 +396,8 @@ def _swatches(legend: Sequence[tuple[str, str]]) -> str:
 
 def _server(port: int) -> Any:
     """Start a server on this machine only."""
-    try:
+    with requires("viser", "view", "viewing"):
         import viser
-    except ImportError as error:
-        raise MissingDependency("viser", "view", "viewing") from error
     try:
         with redirect_stdout(StringIO()):  # it prints even in quiet mode
             server = viser.ViserServer(host="127.0.0.1", port=port, label="segloc", verbose=False)

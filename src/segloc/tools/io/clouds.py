@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import DatasetError, InvalidScan, MissingDependency
+from ...errors import DatasetError, InvalidScan, requires
 from ...geometry import transform
 from ...system.checks import checked_pose
 from ...system.files import CLOUD_SUFFIXES
@@ -237,10 +237,8 @@ def _e57(path: Path) -> Iterator[Float64]:
 
 def _of_e57(function: str, path: Path) -> Any:
     """Return what a function of the package e57 reads of a file."""
-    try:
+    with requires("e57", "e57", "reading .e57 files"):
         import e57
-    except ImportError as error:
-        raise MissingDependency("e57", "e57", "reading .e57 files") from error
     try:
         return getattr(e57, function)(str(path))
     except BaseException as error:  # of Rust, some no Exception

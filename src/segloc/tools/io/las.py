@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from ...errors import DatasetError, MissingDependency
+from ...errors import DatasetError, requires
 from ...system.budget import check_points
 from ...types import Float32, Float64, Scan
 from .fields import one_line, require_points
@@ -212,11 +212,9 @@ def _reading(data: Mapped, stream: BinaryIO, header: _Header) -> Iterator[laspy.
 
 def import_laspy(purpose: str) -> Any:
     """Return laspy, with support for compressed files."""
-    try:
+    with requires("laspy[lazrs]", "io", purpose):
         import laspy
         import lazrs  # noqa: F401
-    except ImportError as error:
-        raise MissingDependency("laspy[lazrs]", "io", purpose) from error
     return laspy
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ConfigError, DatasetError, MissingDependency
+from ...errors import ConfigError, DatasetError, requires
 from ...types import Float64
 from .fields import faults_of
 
@@ -101,10 +101,8 @@ def read_plan(
 
 def _of_mesh(path: Path) -> Float64:
     """Return the triangles of a mesh or of a scene of meshes."""
-    try:
+    with requires("trimesh", "mesh", path.suffix):
         import trimesh
-    except ImportError as error:
-        raise MissingDependency("trimesh", "mesh", path.suffix) from error
     materials = path.suffix.lower() in (".obj", ".ply")  # which name files of textures
     more: dict[str, Any] = {"skip_materials": True} if materials else {}
     try:
@@ -128,11 +126,9 @@ def _of_mesh(path: Path) -> Float64:
 
 def _of_ifc(path: Path, classes: Sequence[str]) -> Float64:
     """Return the triangles of some classes, openings cut out."""
-    try:
+    with requires("ifcopenshell", "ifc", ".ifc"):
         import ifcopenshell
         import ifcopenshell.geom
-    except ImportError as error:
-        raise MissingDependency("ifcopenshell", "ifc", ".ifc") from error
     try:
         model = ifcopenshell.open(str(path))
     except Exception as error:

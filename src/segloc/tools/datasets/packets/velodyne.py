@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ....errors import DatasetError, MissingDependency
+from ....errors import DatasetError, requires
 from ....system.budget import check_points
 from ....types import Float64, Int64, Scan
 from ...io.fields import faults_of, one_line
@@ -120,11 +120,8 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
     Raise DatasetError if they cannot be decoded; names ``where``. Raise MissingDependency if
     velodyne-decoder is not installed.
     """
-    try:
+    with requires("velodyne-decoder", "packets", "reading Velodyne packets"):
         import velodyne_decoder
-    except ImportError as error:
-        purpose = "reading Velodyne packets"
-        raise MissingDependency("velodyne-decoder", "packets", purpose) from error
     check_points(_POINTS_PER_PACKET * len(packets))
     if not packets:  # the decoder aborts the process on none
         raise DatasetError(f"{where}: no packets")

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ....errors import DatasetError, MissingDependency, SeglocError
+from ....errors import DatasetError, SeglocError, requires
 from ...io import fields
 from ...io.fields import one_line
 from .bag_metadata import MAX_METADATA_BYTES, check_metadata
@@ -36,10 +36,8 @@ def open_bag(paths: tuple[Path, ...]) -> Iterator[BagReader]:
 
 
 def _reader(paths: tuple[Path, ...]) -> BagReader:
-    try:
+    with requires("rosbags", "ros", "reading bags"):
         from .rosbags_reader import BagReader
-    except ImportError as error:
-        raise MissingDependency("rosbags", "ros", "reading bags") from error
     return BagReader(paths)
 
 
