@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from .config import Config, query_config
@@ -89,7 +90,6 @@ class Localizer:
                 f"a Localizer needs a SegmentMap, not {type(prior_map).__name__}: load one by "
                 "SegmentMap.load(path), or pass tiles to segloc.tiles.TiledLocalizer"
             )
-        self._given = estimator, proposers, likelihood, clock
         config, self.notes = query_config(prior_map, config)
         threads = config.threads
         self.prior_map, self.config, self.clock = prior_map, config, clock
@@ -112,10 +112,13 @@ class Localizer:
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
+        given: dict[str, Any] = {"estimator": estimator, "proposers": proposers}
+        given |= {"likelihood": likelihood, "clock": clock}
+        self._again = partial(Localizer, prior_map, config, **given)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the map and the configuration; unpickling builds a new localizer."""
-        return _restored, (self.prior_map, self.config, *self._given)
+        return self._again, ()
 
     def localize(
         self,
@@ -343,21 +346,3 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
 def _counted(candidates: Sequence[Candidate], inliers: Callable[[Pose], int]) -> list[Candidate]:
     """Return the candidates with their inliers by the newest matches."""
     return [replace(c, inliers=inliers(c.T_map_local)) for c in candidates]
-
-
-def _restored(
-    prior_map: SegmentMap,
-    config: Config,
-    estimator: Estimator | None,
-    proposers: Sequence[Proposer] | None,
-    likelihood: Likelihood | None,
-    clock: Clock,
-) -> Localizer:
-    return Localizer(
-        prior_map,
-        config,
-        estimator=estimator,
-        proposers=proposers,
-        likelihood=likelihood,
-        clock=clock,
-    )

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidScan, MapFormatError, MapMismatch, SeglocError
 from ..system.checks import checked_pose
-from ..types import Descriptors, Float32, Float64, Pose, Scanned
+from ..types import Bools, Descriptors, Float32, Float64, Pose, Scanned
 from . import file as mapfile
 from .coding import Coded, Part, Stored, array_of
 from .contents import column_fault, voxel_fault
@@ -300,7 +300,7 @@ class SegmentMap:
         return NO_GROUND not in self.metadata.get(GROUND, "")
 
     @property
-    def is_driven(self) -> NDArray[np.bool_]:
+    def is_driven(self) -> Bools:
         """Mask of the poses of the trajectory that a sensor had, (V,).
 
         Viewpoints chosen in a finished cloud or a plan are none; their rotation is the identity.
@@ -308,7 +308,7 @@ class SegmentMap:
         rotations, source = self.trajectory[:, :3, :3], self.metadata.get(SOURCE, "")
         if CLOUD not in source and PLAN not in source:
             return np.ones(len(rotations), dtype=bool)
-        turned: NDArray[np.bool_] = (rotations != np.eye(3)).any(axis=(1, 2))
+        turned: Bools = (rotations != np.eye(3)).any(axis=(1, 2))
         return turned
 
     @property
@@ -475,15 +475,11 @@ class SegmentMap:
         if not radius >= 0:
             raise SeglocError(f"radius must be at least 0, not {radius}")
 
-        def inside(xy: Float64) -> NDArray[np.bool_]:
-            distances: Float64 = np.hypot(*(xy - center).T)
+        def inside(positions: Float64) -> Bools:
+            distances: Float64 = np.hypot(*(positions[:, :2] - center).T)
             return distances <= radius
 
-        near = inside(self.centroids[:, :2])
-        near_points = inside(self.cloud[:, :2] + self.origin[:2])
-        path = self.trajectory[inside(self.trajectory[:, :2, 3])]
-        segments = {name: array[near] for name, array in self.columns().items()}
-        return with_parts(self, segments=segments, points=self.cloud[near_points], trajectory=path)
+        return part_where(self, inside)
 
     def kept(
         self, rows: ArrayLike, points: ArrayLike, missed: ArrayLike | None = None
@@ -620,6 +616,20 @@ def with_parts(
         VoxelCloud(points, prior_map.origin, prior_map.cloud_voxel),
         prior_map.trajectory if trajectory is None else trajectory,
         prior_map.metadata,
+    )
+
+
+def part_where(
+    prior_map: SegmentMap, chosen: Callable[[Float64], Bools], *, cloud: bool = True
+) -> SegmentMap:
+    """Return the part of a map at the chosen ones of (N, 2 or 3) positions; perhaps no cloud."""
+    path, rows = prior_map.trajectory, chosen(prior_map.centroids)
+    points = prior_map.cloud if cloud else np.empty((0, 3), np.float32)
+    return with_parts(
+        prior_map,
+        segments={name: array[rows] for name, array in prior_map.columns().items()},
+        points=points[chosen(points[:, :2] + prior_map.origin[:2])],
+        trajectory=path[chosen(path[:, :3, 3])],
     )
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..errors import ConfigError, MapFormatError, SeglocError
 from ..map.compact import CompactConfig, compacted
-from ..map.segment_map import SegmentMap, along, concatenate_maps, with_parts
+from ..map.segment_map import SegmentMap, along, concatenate_maps, part_where, with_parts
 from ..system.processes import all_of
-from ..types import Bools, Float32, Float64
+from ..types import Bools, Float64
 from .index import (
     FORMAT_VERSION,
     INDEX,
@@ -158,24 +158,6 @@ def part_of(prior_map: SegmentMap, cell: Cell, size_m: float, margin_m: float) -
 def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
     """Return the part of a map in a box, seen from above."""
     return part_where(prior_map, partial(_inside, low=low, high=high))
-
-
-def part_where(
-    prior_map: SegmentMap, chosen: Callable[[Float64], Bools], *, cloud: bool = True
-) -> SegmentMap:
-    """Return the part of a map at the chosen ones of (N, 2 or 3) positions; perhaps no cloud."""
-    path, rows = prior_map.trajectory, chosen(prior_map.centroids)
-    return with_parts(
-        prior_map,
-        segments={name: array[rows] for name, array in prior_map.columns().items()},
-        points=_points_at(prior_map, chosen) if cloud else np.empty((0, 3), np.float32),
-        trajectory=path[chosen(path[:, :3, 3])],
-    )
-
-
-def _points_at(prior_map: SegmentMap, chosen: Callable[[Float64], Bools]) -> Float32:
-    points = prior_map.cloud
-    return points[chosen(points[:, :2] + prior_map.origin[:2])]
 
 
 def squares_of(positions: Float64, size_m: float) -> list[Cell]:

@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 
 from ..errors import MapFormatError, MapMismatch
 from ..map.coding import Stored
-from ..map.segment_map import SegmentMap, concatenate_maps, with_parts
+from ..map.segment_map import SegmentMap, concatenate_maps, part_where, with_parts
 from ..types import Float32
-from .cut import owned_rows, part_where
+from .cut import owned_rows
 from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
 from .recent import Recent
 from .store import Folder, Reader, store_of
