@@ -13,7 +13,7 @@ from samples.on_board import BODY, beside, masted, with_mast
 from segloc import ConfigError, InvalidScan, LocalCloud, RollingCloud, Scan, geometry
 from segloc.frontend.local_cloud import Accumulator, LocalCloudConfig
 from segloc.frontend.segmentation import Segmenter
-from segloc.tools.batch.windows import RecordedWindows
+from segloc.tools.batch.run import RecordedWindows
 from segloc.types import Float32, Float64, Pose
 
 CONFIG = LocalCloudConfig(radius_m=20.0, window_m=10.0)

@@ -30,7 +30,6 @@ from segloc.tiles import (
 )
 from segloc.tiles.cut import in_square
 from segloc.tiles.index import INDEX
-from segloc.tiles.recent import Recent
 from segloc.tiles.store import Folder, Remote, within
 from segloc.tracker import TrackerConfig
 
@@ -262,7 +261,7 @@ def test_a_faulty_store_is_asked_twice_and_then_named(
 
 
 def test_what_was_used_last_is_kept_within_its_bytes(cut: Path) -> None:
-    recent = Recent(100)
+    recent = tiled_map.Recent(100)
     made: list[int] = []
 
     def make(k: int) -> int:

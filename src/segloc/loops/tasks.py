@@ -19,7 +19,7 @@ from ..frontend.segmentation import Segmentation
 from ..localizer import Localizer
 from ..map.build import empty_map
 from ..map.segment_map import SegmentMap
-from ..system.files import folder_in, replacing
+from ..system.files import folder_in, write_bytes
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Recording, Segments
 from .config import AlignConfig
@@ -242,8 +242,7 @@ class SubmapStore:
         """Store a submap."""
         file = BytesIO()
         np.savez(file, allow_pickle=False, **_arrays_of(submap))
-        with replacing(self._submap(number), sweep=False) as stream:
-            stream.write(file.getbuffer())
+        write_bytes(self._submap(number), file.getvalue(), sweep=False)
 
     def __getitem__(self, number: int, /) -> Submap:
         return _read_submap(self._submap(number))

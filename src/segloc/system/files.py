@@ -73,10 +73,15 @@ def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
         raise
 
 
+def write_bytes(path: str | Path, data: bytes, *, sweep: bool = True) -> None:
+    """Write ``data`` with :func:`replacing`."""
+    with replacing(path, sweep=sweep) as stream:
+        stream.write(data)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` as UTF-8 with :func:`replacing`."""
-    with replacing(path) as stream:
-        stream.write(text.encode())
+    write_bytes(path, text.encode())
 
 
 def checked_target(path: Path) -> Path:

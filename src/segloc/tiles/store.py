@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from ..errors import MapFormatError, SeglocError, requires
-from ..system.files import replacing
+from ..system.files import write_bytes
 from ..system.locks import exclusive
 from .index import INDEX, TileFile, digest_of
 
@@ -41,8 +41,7 @@ class Folder:
     def write(self, name: str, data: bytes) -> None:
         """Write a file atomically."""
         self._path.mkdir(parents=True, exist_ok=True)
-        with replacing(self._path / name) as stream:
-            stream.write(data)
+        write_bytes(self._path / name, data)
 
     def names(self) -> list[str]:
         """List all files."""
@@ -234,8 +233,7 @@ class Reader:
         """Copy data into the cache; errors such as a full disk are ignored."""
         with suppress(OSError, SeglocError):
             copy.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(copy) as stream:
-                stream.write(data)
+            write_bytes(copy, data)
             kept = sorted(
                 (path for path in copy.parent.iterdir() if path.suffix == ".segmap"),
                 key=lambda path: path.stat().st_mtime_ns,

@@ -15,7 +15,8 @@ import numpy as np
 from ... import geometry
 from ...config import Config
 from ...errors import ConfigError, DatasetError
-from ...frontend.local_cloud import Accumulator, window
+from ...frontend.local_cloud import Accumulator, LocalCloudConfig, odometry_pose, window
+from ...frontend.rolling_cloud import ScanWindow
 from ...localization import Localization
 from ...localizer import Localizer
 from ...map.georeference import Georeference
@@ -23,10 +24,9 @@ from ...prior import Prior
 from ...system.processes import as_finished
 from ...system.stage_times import Clock, StageTimes
 from ...tiles import localizer_in, open_map
-from ...types import Float64, Int64, LocalCloud, Recording, Scanned, as_recording
+from ...types import Float64, Int64, LocalCloud, Pose, Recording, Scan, Scanned, as_recording
 from ..datasets.fixes import Fixes
 from .score import PROCESSOR
-from .windows import RecordedWindows
 
 Priors: TypeAlias = Prior | Sequence[Prior | None] | None
 """One prior for all queries, one per query, or none."""
@@ -134,6 +134,64 @@ def query_clouds(
             scans = window(poses, position, length, centred=False, max_gap_m=gap)
             cloud = windows.cloud(scans, position, times)
         yield cloud, times
+
+
+class RecordedWindows:
+    """Local clouds of windows along a recording; each scan is read and thinned once.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the scan at a position of the recording, with its pose.
+    config : LocalCloudConfig
+    voxel_size : float
+        Edge of the lattice [m].
+    length_m : float
+        Length of the longest window [m].
+    """
+
+    def __init__(
+        self,
+        read: Callable[[int], Scan],
+        config: LocalCloudConfig,
+        voxel_size: float,
+        length_m: float,
+    ) -> None:
+        self._read = read
+        self._window = ScanWindow(config, voxel_size, length_m)
+
+    def cloud(self, scans: range, index: int, times: StageTimes | None = None) -> LocalCloud:
+        """Return the local cloud of consecutive scans around one of them.
+
+        Parameters
+        ----------
+        scans : range
+            Positions. A window that begins and ends no earlier than the last one reuses its scans.
+        index : int
+            Position of the reference scan, one of them.
+        times : StageTimes, optional
+            Receives the time of "gathering", without reading.
+
+        Raises
+        ------
+        InvalidScan
+            If a scan has no pose.
+        """
+        window, held = self._window, self._window.numbers
+        if held and not (held[0] <= scans.start <= held[-1] < scans.stop):
+            window.clear()
+            held = ()
+        fresh = [self._with_pose(i) for i in scans if not held or i > held[-1]]
+        with (times or StageTimes())("gathering"):
+            while len(window) and window.numbers[0] < scans.start:
+                window.drop(0)
+            for i, (scan, T) in zip(scans[len(window) :], fresh, strict=True):
+                window.push(i, scan, T)
+            return window.cloud(index - scans.start)
+
+    def _with_pose(self, i: int) -> tuple[Scan, Pose]:
+        scan = self._read(i)
+        return scan, odometry_pose(scan)
 
 
 @lru_cache(maxsize=2)

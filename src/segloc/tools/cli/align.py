@@ -182,19 +182,16 @@ def write_alignment(
     out: Path, alignment: Alignment, settings: AlignConfig, facts: dict[str, Any]
 ) -> None:
     """Write poses, loops and a picture of an alignment into a folder."""
-    from ...system.files import replacing, write_text
+    from ...system.files import write_bytes, write_text
     from ..inspect.alignment import loops_csv, loops_jsonl, picture
 
     _write_poses(out, alignment, settings, facts)
     write_text(out / "loops.csv", loops_csv(alignment))
     write_text(out / "loops.jsonl", loops_jsonl(alignment))
     try:
-        image = picture(alignment)
+        write_bytes(out / "before_after.png", picture(alignment))
     except MissingDependency as error:
         note(f"before_after.png not written: {error}")
-        return
-    with replacing(out / "before_after.png") as stream:
-        stream.write(image)
 
 
 def _map_name(component: int) -> str:

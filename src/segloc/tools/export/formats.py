@@ -14,7 +14,7 @@ from ...errors import ConfigError, DatasetError, InvalidScan, SeglocError
 from ...map.segment_map import SegmentMap
 from ...motion import odometry_covariance
 from ...system.checks import checked_pose
-from ...system.files import checked_target, replacing, write_text
+from ...system.files import checked_target, write_bytes, write_text
 from ...types import Float32, Float64, Int64
 from ..io.g2o import PoseEdges, format_g2o
 from ..io.las import format_laz
@@ -136,9 +136,7 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
 
 def write_laz(prior_map: SegmentMap, out: Path) -> list[str]:
     """Write LAZ with a resolution of 1 mm."""
-    data = format_laz(_points(prior_map), offset=np.round(prior_map.origin))
-    with replacing(out) as stream:
-        stream.write(data)
+    write_bytes(out, format_laz(_points(prior_map), offset=np.round(prior_map.origin)))
     return []
 
 
@@ -159,8 +157,7 @@ def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]
     for rows in np.split(order, starts[1:]):
         x, y = (float(v) * tile_m for v in corners[rows[0]])
         name = f"{x:g}_{y:g}.pcd"
-        with replacing(folder / name, sweep=False) as stream:
-            stream.write(format_pcd(points[rows]))
+        write_bytes(folder / name, format_pcd(points[rows]), sweep=False)
         lines.append(f"{name}: [{x:g}, {y:g}]\n")
     write_text(out / AUTOWARE_METADATA, "".join(lines))
     return notes
@@ -168,8 +165,7 @@ def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]
 
 def _write(prior_map: SegmentMap, out: Path, form: Callable[[Float32], bytes]) -> list[str]:
     points, notes = _near_origin(prior_map)
-    with replacing(out) as stream:
-        stream.write(form(points))
+    write_bytes(out, form(points))
     return notes
 
 

@@ -17,7 +17,7 @@ from ...errors import ConfigError, SeglocError
 from ...frontend.segmentation import SegmentationConfig
 from ...map.segment_map import SegmentMap
 from ...proposals.occupancy import ground_of, storeys
-from ...system.files import replacing, write_text
+from ...system.files import write_bytes, write_text
 from ...types import Float32, Float64
 
 FREE, UNKNOWN, OCCUPIED = 254, 205, 0
@@ -155,9 +155,8 @@ def _mark(cells: NDArray[np.int64], shape: tuple[int, int], reach: float) -> NDA
 
 def _write(out: Path, name: str, grid: Grid, corner: Float64, options: GridOptions) -> None:
     height, width = grid.shape
-    with replacing(out / f"{name}.pgm") as stream:
-        stream.write(f"P5\n{width} {height}\n255\n".encode("ascii"))
-        stream.write(np.ascontiguousarray(grid[::-1]).tobytes())
+    head = f"P5\n{width} {height}\n255\n".encode("ascii")
+    write_bytes(out / f"{name}.pgm", head + grid[::-1].tobytes())
     text = (
         f"image: {name}.pgm\nmode: trinary\nresolution: {options.resolution_m:g}\n"
         f"origin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"

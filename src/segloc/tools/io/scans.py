@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ...errors import DatasetError
 from ...system.budget import check_bytes
-from ...system.files import replacing
+from ...system.files import write_bytes
 from ...types import Float32, Float64, Scan
 from . import pcd, ply, text
 from .fields import MAX_HEADER_BYTES, faults_of
@@ -189,5 +189,4 @@ def write_scan(path: str | Path, points: ArrayLike, times: ArrayLike | None = No
             data = _FORMATTERS[suffix](scan.points)
     except DatasetError as error:
         raise DatasetError(f"{path}: {error}") from error
-    with replacing(path, sweep=False) as stream:
-        stream.write(data)
+    write_bytes(path, data, sweep=False)

@@ -76,22 +76,26 @@ class _LimitedFile:
         return data
 
 
-class _Zstd:
-    """The zstd module for rosbags, with limited decompression."""
+class _Proxy:
+    """A module or file for rosbags, of which a few names are replaced."""
 
-    def __init__(self, module: Any) -> None:
-        self._module = module
+    def __init__(self, real: Any) -> None:
+        self._real = real
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._module, name)
+        return getattr(self._real, name)
+
+
+class _Zstd(_Proxy):
+    """The zstd module for rosbags, with limited decompression."""
 
     def decompress(self, data: bytes) -> bytes:
-        return decompress(self._module.ZstdDecompressor(), data)
+        return decompress(self._real.ZstdDecompressor(), data)
 
     def open(self, file: BinaryIO, mode: str) -> _LimitedFile:
         """Open a compressed file; the limit grows with its size, as recordings may be long."""
         limit = max(most_bytes(), MAX_GROWTH * os.fstat(file.fileno()).st_size)
-        return _LimitedFile(self._module.open(file, mode), limit)
+        return _LimitedFile(self._real.open(file, mode), limit)
 
 
 def _limit_profiles(parse_qos: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -117,26 +121,20 @@ def _limit_records(read_index: Callable[..., None]) -> Callable[..., None]:
     return read_counted
 
 
-class _Apsw:
+class _Apsw(_Proxy):
     """The apsw module for rosbags, which reads what is left in a killed recorder's -wal, too."""
-
-    def __init__(self, module: Any) -> None:
-        self._module = module
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._module, name)
 
     def Connection(self, uri: str, flags: int, vfs: str | None = None) -> Any:
         """Open a database to read; nothing is written beside it."""
         path = uri.removeprefix("file:").partition("?immutable")[0]
         wal = Path(f"{path}-wal")
         place = f"file:{quote(path)}"
-        lockless = [name for name in self._module.vfs_names() if name.endswith("-none")]
+        lockless = [name for name in self._real.vfs_names() if name.endswith("-none")]
         if vfs is not None or not lockless or not wal.is_file() or not wal.stat().st_size:
-            return self._module.Connection(f"{place}?immutable=1", flags=flags, vfs=vfs)
+            return self._real.Connection(f"{place}?immutable=1", flags=flags, vfs=vfs)
         # Exclusive and without locks, the log's index is in memory and the log stays as it is.
-        database = self._module.Connection(f"{place}?mode=ro", flags=flags, vfs=lockless[0])
-        database.config(self._module.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
+        database = self._real.Connection(f"{place}?mode=ro", flags=flags, vfs=lockless[0])
+        database.config(self._real.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
         database.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
         return database
 
@@ -145,18 +143,12 @@ _HEADER_START = 17  # of an MCAP file's header: after the magic, a byte and the 
 _PROFILE = struct.pack("<I4s", 4, b"ros2")
 
 
-class _AnyProfile:
+class _AnyProfile(_Proxy):
     """MCAP file whose header names ROS 2, the only profile that rosbags reads."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._file, name)
-
     def read(self, size: int = -1) -> bytes:
-        at = self._file.tell()
-        data = self._file.read(size)
+        at = self._real.tell()
+        data: bytes = self._real.read(size)
         return data if at != _HEADER_START else (_PROFILE + data)[: len(data)]
 
 
