@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -86,11 +85,8 @@ class TileIndex(Section):
 
     def near(self, prior: Prior) -> tuple[Tile, ...]:
         """Return the tiles whose squares may hold a sensor near a prior."""
-        low = np.array([tile.cell for tile in self.tiles]).reshape(-1, 2) * self.size_m
-        at = np.asarray(prior.position)[:2]
-        beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
-        inside = np.hypot(*beyond.T) <= prior.radius_m
-        return tuple(self.tiles[k] for k in np.flatnonzero(inside).tolist())
+        distances = self._distances(self.tiles, np.asarray(prior.position)[None])[0]
+        return tuple(self.tiles[k] for k in np.flatnonzero(distances <= prior.radius_m).tolist())
 
     def owners(self, positions: Float64) -> list[Tile | None]:
         """Return the tile that owns each of (N, 2 or 3) positions.
@@ -106,10 +102,7 @@ class TileIndex(Section):
     def nearest(self, positions: Float64, tiles: Sequence[Tile]) -> list[Tile]:
         """Return that one of some tiles whose square has, or is nearest to, each of (N, 2 or 3)
         positions."""
-        low = np.array([tile.cell for tile in tiles]) * self.size_m
-        at = positions[:, None, :2]
-        beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
-        return [tiles[k] for k in np.hypot(beyond[..., 0], beyond[..., 1]).argmin(axis=1).tolist()]
+        return [tiles[k] for k in self._distances(tiles, positions).argmin(axis=1).tolist()]
 
     def _reaching(self, x: float, y: float) -> Tile | None:
         """Return the nearest tile whose margin contains a position."""
@@ -120,9 +113,15 @@ class TileIndex(Section):
 
     def distance(self, tile: Tile, x: float, y: float) -> float:
         """Return the distance from a position to a tile's square [m]; 0 inside."""
-        low = [k * self.size_m for k in tile.cell]
-        beyond = [max(a - v, v - a - self.size_m, 0.0) for a, v in zip(low, (x, y), strict=True)]
-        return math.hypot(*beyond)
+        return float(self._distances([tile], np.array([[x, y]]))[0, 0])
+
+    def _distances(self, tiles: Sequence[Tile], positions: Float64) -> Float64:
+        """Return the distances from (N, 2 or 3) positions to the squares of M tiles, (N, M) [m]."""
+        low = np.array([tile.cell for tile in tiles]).reshape(-1, 2) * self.size_m
+        at = positions[:, None, :2]
+        beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
+        distances: Float64 = np.hypot(beyond[..., 0], beyond[..., 1])
+        return distances
 
 
 def cells_of(positions: ArrayLike, size_m: float) -> NDArray[np.int64]:

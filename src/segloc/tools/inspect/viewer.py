@@ -167,10 +167,7 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
     The slider covers the queries with stored stages, or else all.
     """
     with _temporary_server() as server:
-        shown = _in_detail(queries)
-        scene = MapScene(server.scene, prior_map)
-        legend = _legend(scene.draw_map(), queries)
-        scene.draw_queries(queries)
+        scene, legend, shown = _drawn(server, prior_map, queries)
         _look_from(server, scene.in_view(*map(scene.middle, shown)))
         recorded = server.get_scene_serializer()
         for query in shown:
@@ -194,10 +191,7 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
         If the port is in use.
     """
     server = _server(port)
-    shown = _in_detail(queries)
-    scene = MapScene(server.scene, prior_map)
-    legend = _legend(scene.draw_map(), queries)
-    scene.draw_queries(queries)
+    scene, legend, shown = _drawn(server, prior_map, queries)
     if shown:
         _add_choice(server, scene, shown)
     else:
@@ -364,18 +358,17 @@ def stages(query: Shown) -> str:
     return "\n".join(lines)
 
 
-def _in_detail(queries: Sequence[Shown]) -> list[Shown]:
-    """Return the queries with stored stages, or all if there are none."""
-    return [query for query in queries if query.stages is not None] or list(queries)
-
-
-def _legend(
-    of_map: Sequence[tuple[str, str]], queries: Sequence[Shown]
-) -> tuple[tuple[str, str], ...]:
+def _drawn(
+    server: Any, prior_map: SegmentMap, queries: Sequence[Shown]
+) -> tuple[MapScene, tuple[tuple[str, str], ...], list[Shown]]:
+    """Draw map and queries; return the legend, and the queries with stages, or else all."""
+    scene = MapScene(server.scene, prior_map)
+    of_map = scene.draw_map()
+    scene.draw_queries(queries)
     outcomes = {query.outcome for query in queries}
     found = [(colour, name) for name, colour in COLOURS.items() if name in outcomes]
-    detailed = any(query.stages is not None for query in queries)
-    return (*of_map, *found, *(_OF_CLOUD if detailed else ()))
+    detailed = [query for query in queries if query.stages is not None]
+    return scene, (*of_map, *found, *(_OF_CLOUD if detailed else ())), detailed or list(queries)
 
 
 def _of_robot() -> tuple[tuple[str, str], ...]:
