@@ -39,34 +39,9 @@ def build_map(
     progress: Progress | None = None,
     adapt: bool = True,
 ) -> SegmentMap:
-    """Build a map from scans with poses.
+    """Build a map as :func:`segloc.build_map` does, without comparing scans and poses.
 
-    Parameters
-    ----------
-    scans : Recording, or list of Scan or of (N, >=3) arrays
-        Scans with poses that define the map frame, whose z axis must point up. A significant tilt
-        is noted in ``metadata["frame"]``. With ``config.mapping.level`` the poses are levelled, and
-        ``metadata["T_map_odom"]`` holds the transform.
-    config : BuildConfig, optional
-        Also a :class:`segloc.Config`; by default that of the default method.
-    poses : (K, 4, 4) array, optional
-        T_map_sensor of each scan; by default the scans' own ``T_odom_sensor``.
-    every_m : float, optional
-        Distance between views; overrides the configuration.
-    progress : callable, optional
-        Called with (views done, total).
-    adapt : bool
-        True to let :func:`adapted_to_view` change the configuration.
-
-    Raises
-    ------
-    DatasetError
-        If there are no poses or no segments, or levelling is requested and no scan shows which way
-        is up.
-    InvalidScan
-        If a scan or a pose is invalid, or their numbers differ.
-    ConfigError
-        If ``config`` is of another type.
+    ``adapt`` lets :func:`adapt_to_view` change the configuration.
     """
     config = checked_build_config(config)
     sequence, frame = _frame(as_recording(scans, poses), config)

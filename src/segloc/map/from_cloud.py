@@ -289,46 +289,13 @@ def build_from_cloud(
     config: BuildConfig | None = None,
     *,
     trajectory: ArrayLike | None = None,
-    sensor_height: float = SENSOR_HEIGHT_M,
+    sensor_height: float | None = None,
     check: bool = True,
     progress: Progress | None = None,
     note: Note | None = None,
 ) -> SegmentMap:
-    """Build a map from one finished cloud.
-
-    Parameters
-    ----------
-    points : (N, >=3) array of any float dtype, or iterable of such arrays
-        In the map's frame [m], whose z axis points up; UTM coordinates as float64. With
-        ``config.mapping.level`` the cloud is turned so that z points up, by its floors and walls,
-        and ``T_map_cloud`` of the map is the transform. Points that are not finite, exactly
-        zero, or more than 100 km from the others are left out.
-    config : BuildConfig, optional
-        Or a :class:`segloc.Config`, which is one; by default that of the default method.
-    trajectory : (V, 4, 4) array, optional
-        Poses that the cloud was measured from, in its frame. By default viewpoints are chosen on
-        free ground, or between what stands if the cloud has no ground.
-    sensor_height : float
-        Height of chosen viewpoints over the ground [m].
-    check : bool
-        False to build the map even if unit, steps or axes of the coordinates seem wrong.
-    progress : callable, optional
-        Called with (ground covered, ground in all) by viewpoints.
-    note : callable, optional
-        Called with each remark, one line: points left out, time and memory of a large cloud, a
-        tilted frame, missing ground.
-
-    Raises
-    ------
-    DatasetError
-        If the cloud has no points, or nothing that could be segmented; if its points are not in
-        metres, their digits were lost, or z is not up; or if it is to be levelled, and shows too
-        little to do so.
-    InvalidScan
-        If the points or poses are something else.
-    ConfigError
-        If ``config`` is none.
-    """
+    """Build a map as :meth:`SegmentMap.from_cloud` does."""
+    sensor_height = SENSOR_HEIGHT_M if sensor_height is None else sensor_height
     config, note = checked_build_config(config), note or _silent
     cloud = ThinCloud.of(_parts(points, check))
     _tell_contents(cloud, check, note)

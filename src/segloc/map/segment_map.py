@@ -172,12 +172,14 @@ class SegmentMap:
         ----------
         points : (N, >=3) array of any float dtype, or iterable of such arrays
             In the map frame [m], z up; UTM coordinates as float64. With ``mapping.level`` in the
-            configuration the cloud is turned so that z is up; ``metadata["T_map_cloud"]`` has the
-            transform.
+            configuration the cloud is turned so that z is up, by its floors and walls;
+            ``metadata["T_map_cloud"]`` has the transform. Points that are not finite, exactly zero,
+            or more than 100 km from the others are left out.
         config : Config, optional
             By default that of the default method.
         trajectory : (V, 4, 4) array, optional
-            Poses the cloud was measured from; by default viewpoints on its free ground.
+            Poses the cloud was measured from; by default viewpoints on its free ground, or between
+            what stands if it has none.
         sensor_height : float, optional
             Height of the viewpoints above the ground [m], by default 1.
         check : bool
@@ -185,24 +187,29 @@ class SegmentMap:
         progress : callable, optional
             Called with (ground covered, total) by viewpoints.
         note : callable, optional
-            Called with each remark, one line: points left out, a tilted frame, missing ground.
+            Called with each remark, one line: points left out, time and memory of a large cloud, a
+            tilted frame, missing ground.
 
         Raises
         ------
-        SeglocError
-            If the cloud is invalid, has no segments, is not in metres, or its z axis is not up.
+        DatasetError
+            If the cloud has no points or segments, is not in metres, lost digits, or its z axis is
+            not up; or if it is to be levelled, and shows too little to do so.
+        InvalidScan
+            If the points or poses are something else.
+        ConfigError
+            If ``config`` is none.
         """
         from .from_cloud import build_from_cloud
 
-        more = {} if sensor_height is None else {"sensor_height": sensor_height}
         return build_from_cloud(
             points,
             config,
             trajectory=trajectory,
+            sensor_height=sensor_height,
             check=check,
             progress=progress,
             note=note,
-            **more,
         )
 
     # --- contents ------------------------------------------------------------------------------
