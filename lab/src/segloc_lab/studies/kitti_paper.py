@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,12 +19,11 @@ import numpy as np
 
 from segloc import Config, Localizer, SegmentMap, geometry
 from segloc.descriptors import Descriptor, create
-from segloc.errors import DatasetError, SeglocError
+from segloc.errors import DatasetError
 from segloc.frontend import Segmenter
 from segloc.map import compacted
 from segloc.proposals import PoseConfig, PoseEstimator, Query
 from segloc.system.files import write_text
-from segloc.system.processes import executing
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds, query_positions
 from segloc.tools.datasets import Sequence as Drive
 from segloc.types import Float64, Int64, Pose
@@ -41,6 +39,7 @@ from ..evaluation.comparison import (
 from ..evaluation.scenario import MAX_GAP_M
 from ..kitti00 import keyframes, poses_of
 from ..outcomes import TOLERANCE, pose_error
+from ..parallel import in_parallel
 from ..report import Table, code, commit, mcnemar, share
 from .paper.published import LOCALIZATIONS
 
@@ -333,13 +332,18 @@ class Piece:
     def _path(self) -> Path:
         return self.folder / f"{self.part}-{self.first:03d}.jsonl"
 
+    def build(self) -> None:
+        """Build the map, unless it is stored."""
+        self._map(PARTS[self.part](self.data))
+
     def run(self) -> Piece:
-        """Answer the remaining queries; builds the map if it is missing."""
+        """Answer the remaining queries."""
+        if self.is_done:
+            return self
         kept = _lines(self._path)
         self._path.write_text("".join(kept), "utf-8")
-        part = PARTS[self.part](self.data)
-        built = prior_map(part.mapped, self.method, self.folder / f"{self.part}.segmap")
-        place, verify = Place(built, self.method, self.draws), self.verify and self.part == "test"
+        part, verify = PARTS[self.part](self.data), self.verify and self.part == "test"
+        place = Place(self._map(part), self.method, self.draws)
         some = slice(self.first + len(kept), self.stop)
         part = replace(part, positions=part.positions[some], distances=part.distances[some])
         for query, truth, row in queries(part, create(self.method, 1)):
@@ -350,36 +354,14 @@ class Piece:
                 file.write(json.dumps(row) + "\n")
         return self
 
+    def _map(self, part: Part) -> SegmentMap:
+        return prior_map(part.mapped, self.method, self.folder / f"{self.part}.segmap")
+
 
 def _lines(path: Path) -> list[str]:
     """Return the complete lines of a file."""
     lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
     return [line for line in lines if line.endswith("\n")]
-
-
-def finished(pieces: Sequence[Piece], executor: Executor | None) -> Iterator[Piece]:
-    """Yield pieces as they finish; the first of each map, which builds it, comes first."""
-    left = [piece for piece in pieces if not piece.is_done]
-    yield from (piece for piece in pieces if piece.is_done)
-    if executor is None:
-        yield from map(Piece.run, left)
-        return
-    waiting: dict[tuple[str, str], list[Piece]] = {}
-    for piece in left:
-        waiting.setdefault((piece.method, piece.part), []).append(piece)
-    try:
-        running = {executor.submit(Piece.run, behind.pop(0)) for behind in waiting.values()}
-        while running:
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for piece in map(Future[Piece].result, done):
-                yield piece
-                behind = waiting.pop((piece.method, piece.part), [])
-                running |= {executor.submit(Piece.run, each) for each in behind}
-    except BrokenExecutor as error:
-        raise SeglocError(
-            "a worker process was ended, most likely because memory ran out: try fewer workers, "
-            "such as --workers 1; what is finished is kept"
-        ) from error
 
 
 Answers = dict[str, Any]
@@ -476,14 +458,15 @@ def _measure(
     kept = {each.method: each for each in missing}
     every = [piece for part in counts for own in pieces.values() for piece in own
              if piece.part == part]  # fmt: skip
+    unmapped = {(piece.method, piece.part): piece for piece in every if not piece.is_done}
+    list(in_parallel(Piece.build, list(unmapped.values()), workers))
     left = {name: len(own) for name, own in pieces.items()}
-    with executing(workers, None) as executor:
-        for number, piece in enumerate(finished(every, executor), 1):
-            name = piece.method
-            say(f"{number} of {len(every)}: {name}, {piece.part} from {piece.first} on")
-            left[name] -= 1
-            if not left[name]:
-                kept[name].finish(pieces[name])
+    for number, (_, piece) in enumerate(in_parallel(Piece.run, every, workers), 1):
+        name = piece.method
+        say(f"{number} of {len(every)}: {name}, {piece.part} from {piece.first} on")
+        left[name] -= 1
+        if not left[name]:
+            kept[name].finish(pieces[name])
 
 
 def stored(folder: Path) -> dict[str, Answers]:
