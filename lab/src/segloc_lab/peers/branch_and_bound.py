@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from segloc import geometry
 
 from ..script import parser
-from .exchange import Clouds, near, opened, run
-from .scan_context import RADIUS_M, Places, Query
+from .exchange import Clouds, near, run
+from .scan_context import RADIUS_M, Candidate, Propose, answer_refined
 
 LEVELS = 7
 """Of the pyramid: its coarsest windows are 2 ** 6 cells wide."""
@@ -229,27 +229,23 @@ def grid_of(views: Clouds, settings: Settings) -> Grid:
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write the answer to each query: the best pose after GICP, with the share that fits there."""
-    views, queries, (answers,), todo = opened(folder, options, "branch_and_bound")
-    if not todo:
-        return
     low, high = options.slice
     settings = Settings(options.cell, low, high, top=options.top)
-    grid, places = grid_of(views, settings), Places(views)
-    answers.map_bytes = np.array(grid.nbytes + places.nbytes)
-    for q in todo:
-        with answers.timed(q):
-            found = grid.search(settings.slice(queries[q]))
-        poses = []
-        for _, x, y, yaw in found:
-            view = int(np.hypot(*(views.poses[:, :2, 3] - (x, y)).T).argmin())
-            places.target(view)  # part of the map: prepared before it is queried
-            poses.append((geometry.yaw_transform(yaw, (x, y, views.poses[view, 2, 3])), view))
-        with answers.timed(q):
-            query = Query(queries[q])
-            refined = [places.refined(query, T, view) for T, view in poses]
-        if refined:
-            answers.give(q, *max(refined, key=lambda item: item[1]))
-        answers.save(folder, "branch_and_bound", q)
+
+    def prepared(views: Clouds) -> tuple[Propose, int]:
+        grid = grid_of(views, settings)
+
+        def propose(points: NDArray[np.float32]) -> list[Candidate]:
+            found = []
+            for score, x, y, yaw in grid.search(settings.slice(points)):
+                view = int(np.hypot(*(views.poses[:, :2, 3] - (x, y)).T).argmin())
+                T = geometry.yaw_transform(yaw, (x, y, views.poses[view, 2, 3]))
+                found.append(Candidate(view, 1.0 - score, T))
+            return found
+
+        return propose, grid.nbytes
+
+    answer_refined(folder, options, ("branch_and_bound",), prepared)
 
 
 def main() -> None:

@@ -36,7 +36,7 @@ from segloc import geometry
 
 from ..script import parser
 from .exchange import Clouds, run
-from .scan_context import Candidate, Propose, answer_both, ground_below
+from .scan_context import Candidate, Propose, answer_refined, ground_below
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -457,7 +457,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
         contexts = ContourContexts(views, settings)
         return contexts.candidates, contexts.nbytes
 
-    answer_both(folder, options, "contour_context", prepared)
+    answer_refined(folder, options, ("contour_context", "contour_context-alone"), prepared)
 
 
 def main() -> None:

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from segloc import geometry
 
 from ..script import parser
-from .exchange import near, opened, run
-from .scan_context import Places, Query, ScanContexts, sideways
+from .exchange import Clouds, near, run
+from .scan_context import Candidate, Propose, ScanContexts, answer_refined, sideways
 
 RADIUS_M = 60.0
 
@@ -43,38 +43,24 @@ def registered(
 
 def answer(folder: Path, options: argparse.Namespace) -> None:
     """Write answers by overlap after GICP, and by the number of inliers alone."""
-    systems = "kiss_matcher", "kiss_matcher-inliers"
-    views, queries, (verified, alone), todo = opened(folder, options, *systems)
-    if not todo:
-        return
-    contexts, places = ScanContexts(views, options.radius), Places(views)
-    clouds = sum(near(views[i], RADIUS_M).nbytes for i in range(len(views)))
-    alone.map_bytes = np.array(contexts.nbytes + clouds)
-    verified.map_bytes = np.array(contexts.nbytes + clouds + places.nbytes)
     # All clouds are level, which its quatro solver makes use of.
     settings = kiss_matcher.KISSMatcherConfig(options.voxel, use_quatro=True)
     matcher = kiss_matcher.KISSMatcher(settings)
-    for q in todo:
-        with verified.timed(q), alone.timed(q):
-            candidates = contexts.candidates(queries[q], sideways(options.shifts), options.top)
-        for candidate in candidates:
-            places.target(candidate.view)  # part of the map: prepared before it is queried
-        with verified.timed(q), alone.timed(q):
-            cloud = near(queries[q], RADIUS_M)
-            poses = []
-            for candidate in candidates:
-                T, inliers = registered(matcher, cloud, near(views[candidate.view], RADIUS_M))
-                poses.append((views.poses[candidate.view] @ T, inliers))
-        alone.give(q, *max(poses, key=lambda item: item[1]))
-        with verified.timed(q):
-            query = Query(queries[q])
-            refined = [
-                places.refined(query, T, candidate.view)
-                for (T, _), candidate in zip(poses, candidates, strict=True)
-            ]
-        verified.give(q, *max(refined, key=lambda item: item[1]))
-        for answers, system in zip((verified, alone), systems, strict=True):
-            answers.save(folder, system, q)
+
+    def prepared(views: Clouds) -> tuple[Propose, int]:
+        contexts = ScanContexts(views, options.radius)
+        clouds = sum(near(views[i], RADIUS_M).nbytes for i in range(len(views)))
+
+        def propose(points: NDArray[np.float32]) -> list[Candidate]:
+            found, cloud = [], near(points, RADIUS_M)
+            for place in contexts.candidates(points, sideways(options.shifts), options.top):
+                T, inliers = registered(matcher, cloud, near(views[place.view], RADIUS_M))
+                found.append(Candidate(place.view, -inliers, views.poses[place.view] @ T))
+            return found
+
+        return propose, contexts.nbytes + clouds
+
+    answer_refined(folder, options, ("kiss_matcher", "kiss_matcher-inliers"), prepared)
 
 
 def main() -> None:

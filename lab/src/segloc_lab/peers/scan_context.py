@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -194,28 +195,26 @@ Propose = Callable[[NDArray[np.float32]], list[Candidate]]
 """Returns the places that look most like a query's points, the best first."""
 
 
-def answer_both(
+def answer_refined(
     folder: Path,
     options: argparse.Namespace,
-    system: str,
+    systems: Sequence[str],
     prepared: Callable[[Clouds], tuple[Propose, int]],
 ) -> None:
-    """Write answers of a system by overlap after GICP, and by its own distance alone.
+    """Write answers of a system by overlap after GICP and, by a second name, by distance alone.
 
     ``prepared`` returns what proposes places among views, and its size in bytes.
     """
-    systems = system, f"{system}-alone"
-    views, queries, (verified, alone), todo = opened(folder, options, *systems)
+    views, queries, (verified, *alone), todo = opened(folder, options, *systems)
     if not todo:
         return
     (propose, nbytes), places = prepared(views), Places(views)
-    alone.map_bytes = np.array(nbytes)
     verified.map_bytes = np.array(nbytes + places.nbytes)
     for q in todo:
-        with verified.timed(q), alone.timed(q):
+        with ExitStack() as timed:
+            for answers in (verified, *alone):
+                timed.enter_context(answers.timed(q))
             candidates = propose(queries[q])
-        if candidates:
-            alone.give(q, candidates[0].T_map_query, -candidates[0].distance)
         for candidate in candidates:
             places.target(candidate.view)  # part of the map: prepared before it is queried
         with verified.timed(q):
@@ -223,7 +222,12 @@ def answer_both(
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
         if refined:
             verified.give(q, *max(refined, key=lambda item: item[1]))
-        for answers, name in zip((verified, alone), systems, strict=True):
+        for answers in alone:
+            answers.map_bytes = np.array(nbytes)
+            if candidates:
+                nearest = min(candidates, key=lambda candidate: candidate.distance)
+                answers.give(q, nearest.T_map_query, -nearest.distance)
+        for answers, name in zip((verified, *alone), systems, strict=True):
             answers.save(folder, name, q)
 
 
@@ -238,7 +242,7 @@ def answer(folder: Path, options: argparse.Namespace) -> None:
 
         return propose, contexts.nbytes
 
-    answer_both(folder, options, "scan_context", prepared)
+    answer_refined(folder, options, ("scan_context", "scan_context-alone"), prepared)
 
 
 def main() -> None:
