@@ -116,9 +116,15 @@ class Table:
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError(f"{self.title}: a row and the columns differ in length")
 
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, Cell]], note: str = "", title: str = "") -> Table:
+        """Make a table of cells by column; those that a row lacks stay empty."""
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        return cls(columns, [tuple(map(row.get, columns)) for row in rows], note, title)
+
     def parts(self) -> list[str]:
         """Format the heading, the table and the note as paragraphs of Markdown."""
-        rows = (self.columns, ["---"] * len(self.columns), *self.rows)
+        rows = (self.columns, ["---"] * len(self.columns), *self.rows) if self.columns else ()
         table = "\n".join(row(*map(_text, cells)) for cells in rows)
         heading = f"## {self.title}" if self.title else ""
         return [part for part in (heading, table, self.note) if part]

@@ -197,29 +197,12 @@ def scored(folder: Path, systems: Collection[str] | None = None) -> Part:
     return Part(folder.name, queries, scores, path_km(path))
 
 
-COLUMNS = (
-    "system",
-    "queries",
-    *(f"found {metres:g} m, {degrees:g} deg" for metres, degrees in RIGHT),
-    "false in the map",
-    "false outside",
-    "F1max",
-    "AUC",
-    "processor ms",
-    "wall ms",
-    "processor ms a right answer",
-    "times segloc's",
-    "MB per km",
-    "trained on",
-)
-
-
 def table(part: Part, missing: Mapping[str, str] | None = None, note: str = NOTE) -> Table:
     """Return the table of a protocol; ``missing`` systems have a row that says why."""
     rows = [_row(s, part) for s in part.scores]
     for system, why in (missing or {}).items():
-        rows.append((label(system), why, *[None] * (len(COLUMNS) - 2)))
-    return Table(COLUMNS, rows, note, part.name)
+        rows.append({"system": label(system), "queries": why})
+    return Table.of(rows, note, part.name)
 
 
 def ours_of(part: Part) -> Score | None:
@@ -232,7 +215,7 @@ def rival_of(s: Score, part: Part) -> Score | None:
     return None if s.system.startswith("segloc-") else ours_of(part)
 
 
-def _row(s: Score, part: Part) -> tuple[Cell, ...]:
+def _row(s: Score, part: Part) -> dict[str, Cell]:
     inside, queried = part.queries.within_coverage, s.answers.queried
     place = queried & inside
     f1, auc = confidence(s, place)
@@ -245,23 +228,31 @@ def _row(s: Score, part: Part) -> tuple[Cell, ...]:
         fewer = rival is not None and (s.false & side).sum() < (rival.false & side).sum()
         return emphasised(bounded(s.false & side, queried & side), fewer)
 
-    return (
-        label(s.system),
-        int(queried.sum()),
-        *(f"{int((right & s.taken & place).sum())} of {int(place.sum())}" for right in s.right),
-        false(inside),
-        false(~inside),
-        round(f1, 3),
-        round(auc, 3),
-        _spread(s.answers.ms[queried]),
-        _spread(s.answers.wall_ms[queried]),
-        emphasised(f"{spent:.0f}", rival is not None and spent < ms_a_right(rival, inside))
+    quick = rival is not None and spent < ms_a_right(rival, inside)
+    return {
+        "system": label(s.system),
+        "queries": int(queried.sum()),
+        **{
+            f"found {m:g} m, {deg:g} deg": _of(right & s.taken, place)
+            for (m, deg), right in zip(RIGHT, s.right, strict=True)
+        },
+        "false in the map": false(inside),
+        "false outside": false(~inside),
+        "F1max": round(f1, 3),
+        "AUC": round(auc, 3),
+        "processor ms": _spread(s.answers.ms[queried]),
+        "wall ms": _spread(s.answers.wall_ms[queried]),
+        "processor ms a right answer": emphasised(f"{spent:.0f}", quick)
         if math.isfinite(spent)
         else None,
-        round(ratio, 2) if math.isfinite(ratio) else None,
-        round(size, 1) if math.isfinite(size) else None,
-        str(s.answers.trained),
-    )
+        "times segloc's": round(ratio, 2) if math.isfinite(ratio) else None,
+        "MB per km": round(size, 1) if math.isfinite(size) else None,
+        "trained on": str(s.answers.trained),
+    }
+
+
+def _of(found: Bools, among: Bools) -> str:
+    return f"{int((found & among).sum())} of {int(among.sum())}"
 
 
 def _spread(ms: Floats) -> str | None:

@@ -29,7 +29,7 @@ from segloc.types import Float32, Float64, Pose, Recording
 
 from ..kitti00 import keyframes, poses_of
 from ..outcomes import pose_error
-from ..report import Table, publish, reporting
+from ..report import Cell, Table, publish, reporting
 from ..simulation import OdometryNoise
 from ..training.session_registration import Registration
 
@@ -39,14 +39,6 @@ PLACE_M = 5.0
 FALSE_M, FALSE_DEG = 3.0, 5.0
 EVERY = 3  # of the scans with a place in the other session
 CLOUD_M = 16.0
-COLUMNS = (
-    "sessions",
-    "pairs of poses",
-    "median (m)",
-    "90 % (m)",
-    "largest (m)",
-    "median (degrees)",
-)
 
 Errors = dict[tuple[int, int], Float64]
 """Errors of pairs of poses [m, deg], (n, 2), by pair of sessions."""
@@ -138,16 +130,20 @@ def tell(title: str, found: Alignment, false: int, pairs: Errors, folder: Path |
         f"connected components: {len(found.components)}. {time.process_time() / 60:.0f} minutes of "
         "a core, simulation or reading included."
     )
-    rows = [(label, *_figures(each)) for label, each in named.items()]
-    publish(folder, title, Table(COLUMNS, rows, note))
+    rows = [{"sessions": label, **_figures(each)} for label, each in named.items()]
+    publish(folder, title, Table.of(rows, note))
 
 
-def _figures(rows: Float64) -> tuple[int | float | None, ...]:
-    if not len(rows):
-        return 0, None, None, None, None
-    metres, degrees = rows.T
-    values = (np.median(metres), np.percentile(metres, 90), metres.max(), np.median(degrees))
-    return len(rows), *(round(float(value), 2) for value in values)
+def _figures(rows: Float64) -> dict[str, Cell]:
+    metres, degrees = rows.T if len(rows) else np.full((2, 1), np.nan)
+    values = {
+        "median (m)": np.median(metres),
+        "90 % (m)": np.percentile(metres, 90),
+        "largest (m)": metres.max(),
+        "median (degrees)": np.median(degrees),
+    }
+    found = {name: round(float(v), 2) if len(rows) else None for name, v in values.items()}
+    return {"pairs of poses": len(rows), **found}
 
 
 def main() -> None:

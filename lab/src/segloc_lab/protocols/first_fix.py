@@ -29,17 +29,6 @@ KINDS = (
 )
 """Used in turn."""
 FOLLOWED_M, COVERED_M, SOON_M = 30.0, 5.0, 15.0
-COLUMNS = (
-    "world",
-    "sensor",
-    "robots",
-    "at once",
-    f"within {SOON_M:g} m",
-    "never",
-    "median (m)",
-    "95 % (m)",
-    "false for (m)",
-)
 
 
 @lru_cache(maxsize=1)
@@ -68,28 +57,31 @@ def switched_on(task: tuple[int, int]) -> Entry | None:
     }
 
 
-def row(name: tuple[str, str], robots: list[Entry]) -> tuple[Cell, ...]:
+def row(scene: str, sensor: str, robots: list[Entry]) -> dict[str, Cell]:
     """Return the row of some robots."""
     fixes = [np.inf if r["first_fix_m"] is None else r["first_fix_m"] for r in robots]
     spread = np.percentile(fixes, (50, 95), method="higher")
-    return (
-        *name,
-        len(robots),
-        share(sum(fix == 0.0 for fix in fixes), len(robots)),
-        share(sum(fix <= SOON_M for fix in fixes), len(robots)),
-        sum(fix == np.inf for fix in fixes),
-        *("never" if np.isinf(metres) else f"{metres:.1f}" for metres in spread),
-        f"{sum(r['false_m'] for r in robots):g}",
-    )
+    median, most = ("never" if np.isinf(metres) else f"{metres:.1f}" for metres in spread)
+    return {
+        "world": scene,
+        "sensor": sensor,
+        "robots": len(robots),
+        "at once": share(sum(fix == 0.0 for fix in fixes), len(robots)),
+        f"within {SOON_M:g} m": share(sum(fix <= SOON_M for fix in fixes), len(robots)),
+        "never": sum(fix == np.inf for fix in fixes),
+        "median (m)": median,
+        "95 % (m)": most,
+        "false for (m)": f"{sum(r['false_m'] for r in robots):g}",
+    }
 
 
 def report(robots: list[Entry], folder: Path | None) -> None:
     """Publish a row for each kind of world and sensor, and one of all."""
     names = sorted({(r["scene"], r["sensor"]) for r in robots})
-    rows = [row(n, [r for r in robots if (r["scene"], r["sensor"]) == n]) for n in names]
+    rows = [row(*n, [r for r in robots if (r["scene"], r["sensor"]) == n]) for n in names]
     note = f"Metres to the first right fix. Never: not within {FOLLOWED_M:g} m, or to the end."
-    every = [row(("all", "all"), robots)] if robots else []
-    publish(folder, "First fix after switching on", Table(COLUMNS, [*rows, *every], note))
+    every = [row("all", "all", robots)] if robots else []
+    publish(folder, "First fix after switching on", Table.of([*rows, *every], note))
 
 
 def main() -> None:

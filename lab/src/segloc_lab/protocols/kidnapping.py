@@ -602,49 +602,40 @@ def _unlike(here: Float64, there: Float64) -> tuple[float, float]:
     return float(differ[least]), -2.0 * np.pi * least / SECTORS
 
 
-EVENTS = (
-    "trials",
-    "known before",
-    f"noticed within {NOTICED_M:g} m",
-    f"recovered within {RECOVERED_M:g} m",
-    f"false for more than {HELD_M:g} m",
-    "noticed, median / worst (m)",
-    "recovered, median / worst (m)",
-    "held, worst (m)",
-)
-"""Columns of :func:`row` after its name."""
-COLUMNS = ("world", "sensor", "carried to", *EVENTS)
-
-
-def table(found: list[Trial]) -> list[tuple[Cell, ...]]:
+def table(found: list[Trial]) -> list[dict[str, Cell]]:
     """Return one row per kind of world, one per way, and one of all."""
-    rows = []
-    for scene, sensor in dict.fromkeys((t.scene, t.sensor) for t in found):
-        here = [t for t in found if (t.scene, t.sensor) == (scene, sensor)]
-        rows.append(row((scene, sensor, "all"), here))
-    ways = dict.fromkeys(t.way for t in found)
-    rows += [row(("all", "all", way), [t for t in found if t.way == way]) for way in ways]
-    return [*rows, row(("all", "all", "all"), found)]
+    parts = {
+        (scene, sensor, "all"): [t for t in found if (t.scene, t.sensor) == (scene, sensor)]
+        for scene, sensor in dict.fromkeys((t.scene, t.sensor) for t in found)
+    }
+    for way in dict.fromkeys(t.way for t in found):
+        parts["all", "all", way] = [t for t in found if t.way == way]
+    parts["all", "all", "all"] = found
+    return [
+        {"world": world, "sensor": sensor, "carried to": way, **became(part)}
+        for (world, sensor, way), part in parts.items()
+    ]
 
 
-def row(name: tuple[str, ...], found: list[Trial]) -> tuple[Cell, ...]:
-    """Return the row of some trials: its name, and what became of the robots."""
+def became(found: list[Trial]) -> dict[str, Cell]:
+    """Return what became of the robots of some trials, as cells of a row."""
     known = [t for t in found if t.known]
     mapped = [t for t in known if t.way != "outside"]
     noticed = [np.inf if t.noticed is None else t.noticed for t in known]
     recovered = [np.inf if t.recovered is None else t.recovered for t in mapped]
     held = [t.held for t in found]
-    return (
-        *name,
-        len(found),
-        len(known),
-        share(int((np.array(noticed) <= NOTICED_M).sum()), len(known)),
-        share(int((np.array(recovered) <= RECOVERED_M).sum()), len(mapped)),
-        int((np.array(held) > HELD_M).sum()),
-        _spread(noticed),
-        _spread(recovered),
-        max(held, default=0.0),
-    )
+    in_time = int((np.array(noticed) <= NOTICED_M).sum())
+    again = int((np.array(recovered) <= RECOVERED_M).sum())
+    return {
+        "trials": len(found),
+        "known before": len(known),
+        f"noticed within {NOTICED_M:g} m": share(in_time, len(known)),
+        f"recovered within {RECOVERED_M:g} m": share(again, len(mapped)),
+        f"false for more than {HELD_M:g} m": int((np.array(held) > HELD_M).sum()),
+        "noticed, median / worst (m)": _spread(noticed),
+        "recovered, median / worst (m)": _spread(recovered),
+        "held, worst (m)": max(held, default=0.0),
+    }
 
 
 def _spread(values: list[float]) -> str:
@@ -657,7 +648,7 @@ def _spread(values: list[float]) -> str:
 def report(found: list[Trial], folder: Path | None) -> None:
     """Publish the table."""
     note = "Recovered: of those known before and put where the map has the place."
-    publish(folder, "Robots that are carried away", Table(COLUMNS, table(found), note))
+    publish(folder, "Robots that are carried away", Table.of(table(found), note))
 
 
 @functools.lru_cache(maxsize=2)

@@ -28,7 +28,7 @@ from segloc.types import Pose
 from ..calibration.worlds import LENGTH_M, simulated
 from ..outcomes import outcome
 from ..recordings import posed
-from ..report import Table, publish
+from ..report import Cell, Table, publish
 from ..script import parser
 
 APART_M, A_ROW = 300.0, 8
@@ -44,19 +44,6 @@ atexit.register(lambda: print(highest_mb(), file=sys.stderr))
 main()
 """
 """The command line, which prints its peak memory [MB] last on stderr."""
-COLUMNS = (
-    "points",
-    "towns",
-    "km",
-    "1000 m2",
-    "viewpoints",
-    "processor time, min",
-    "peak memory, GiB",
-    "map, MB",
-    "found",
-    "false",
-    "ms",
-)
 
 
 def placed(k: int) -> Pose:
@@ -132,24 +119,24 @@ def measure(folder: Path, towns: int, first_seed: int) -> dict[str, Any]:
 
 def table(found: dict[str, Any]) -> Table:
     """The table of one measurement."""
-    cells = (
-        f"{found['points'] / 1e6:.1f} M",
-        found["towns"],
-        f"{found['towns'] * LENGTH_M / 1e3:.1f}",
-        f"{found['area_m2'] / 1e3:.0f}",
-        found["viewpoints"],
-        f"{found['processor_s'] / 60:.1f}",
-        f"{found['peak_gib']:.2f}",
-        f"{found['map_bytes'] / 1e6:.1f}",
-        f"{found['found']} of {found['towns']}",
-        found["false"],
-        f"{found['ms']:.0f}",
-    )
+    cells: dict[str, Cell] = {
+        "points": f"{found['points'] / 1e6:.1f} M",
+        "towns": found["towns"],
+        "km": f"{found['towns'] * LENGTH_M / 1e3:.1f}",
+        "1000 m2": f"{found['area_m2'] / 1e3:.0f}",
+        "viewpoints": found["viewpoints"],
+        "processor time, min": f"{found['processor_s'] / 60:.1f}",
+        "peak memory, GiB": f"{found['peak_gib']:.2f}",
+        "map, MB": f"{found['map_bytes'] / 1e6:.1f}",
+        "found": f"{found['found']} of {found['towns']}",
+        "false": found["false"],
+        "ms": f"{found['ms']:.0f}",
+    }
     note = (
         "All scans of a drive through each town as one tile. Processor time and peak memory of "
         "`segloc map from-cloud` on the folder of tiles; single scans of a later drive."
     )
-    return Table(COLUMNS, [cells], note, "A large cloud")
+    return Table.of([cells], note, "A large cloud")
 
 
 def main() -> None:

@@ -315,37 +315,9 @@ def there_and_back(count: int, total: int) -> Int64:
     return np.resize(lap, total).astype(np.int64)
 
 
-COLUMNS = (
-    "stream",
-    "scans",
-    "localized",
-    "starts",
-    "first fix, median / 95 % (m)",
-    "false (m)",
-    "degraded and false (m)",
-    "degraded within three sigma",
-    "error, median / 95 % (m)",
-    "a scan, median / 99 % (ms)",
-    "a query, median / 99 % (ms)",
-    "share of a core at 10 Hz",
-)
-ALONE_COLUMNS = (
-    "scans",
-    "memory (MB)",
-    "localized",
-    "false (m)",
-    "odometry lost",
-    "odometry (ms a scan)",
-    "scan, de-skewed and accumulated (ms)",
-    "segmentation of queries (ms)",
-    "rest of queries (ms)",
-    "share of a core at 10 Hz",
-)
-
-
-def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """Return one row per kind of stream."""
-    rows: list[tuple[Cell, ...]] = []
+def table(records: list[dict[str, Any]]) -> Table:
+    """Return a table with one row per kind of stream."""
+    rows: list[dict[str, Cell]] = []
     for name in sorted({r["stream"] for r in records}):
         here = [r for r in records if r["stream"] == name]
         numbers = [key for key, value in here[0].items() if isinstance(value, int | float)]
@@ -355,22 +327,22 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
         share = total["localized"] / max(1, total["covered"])
         load = (scan.sum() + query.sum()) / 1e3 * RATE_HZ / max(1, len(scan))
         rows.append(
-            (
-                name,
-                total["scans"],
-                f"{100 * share:.1f} %",
-                len(fixes),
-                spread(fixes, 95, 0),
-                round(total["false_m"], 1),
-                round(total["degraded_false_m"], 1),
-                f"{total['degraded_within']} of {total['degraded']}",
-                spread(_joined(here, "errors"), 95, 2),
-                spread(scan, 99, 1),
-                spread(query, 99, 0),
-                f"{load:.2f}",
-            )
+            {
+                "stream": name,
+                "scans": total["scans"],
+                "localized": f"{100 * share:.1f} %",
+                "starts": len(fixes),
+                "first fix, median / 95 % (m)": spread(fixes, 95, 0),
+                "false (m)": round(total["false_m"], 1),
+                "degraded and false (m)": round(total["degraded_false_m"], 1),
+                "degraded within three sigma": f"{total['degraded_within']} of {total['degraded']}",
+                "error, median / 95 % (m)": spread(_joined(here, "errors"), 95, 2),
+                "a scan, median / 99 % (ms)": spread(scan, 99, 1),
+                "a query, median / 99 % (ms)": spread(query, 99, 0),
+                "share of a core at 10 Hz": f"{load:.2f}",
+            }
         )
-    return rows
+    return Table.of(rows, title="Streams")
 
 
 def _joined(records: list[dict[str, Any]], key: str) -> Float64:
@@ -386,24 +358,26 @@ def spread(values: Iterable[float], high: int, digits: int) -> str:
     return " / ".join("never" if np.isinf(v) else f"{v:.{digits}f}" for v in ranks)
 
 
-def alone_table(samples: list[Sample]) -> list[tuple[Cell, ...]]:
+def alone_table(samples: list[Sample]) -> list[dict[str, Cell]]:
     """Return one row per tenth; times are means from the first scan on."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[dict[str, Cell]] = []
     for s in samples:
         odometry, scan, query, segmentation = (
             s["ms"][stage] for stage in ("odometry", "scan", "query", "segmentation")
         )
-        stages = (odometry, scan, segmentation, query - segmentation)
         rows.append(
-            (
-                s["scans"],
-                f"{s['mb']:.1f}",
-                f"{100 * s['localized'] / s['scans']:.1f} %",
-                round(s["false_m"], 1),
-                s["losses"],
-                *(f"{ms:.1f}" for ms in stages),
-                f"{sum(stages) * RATE_HZ / 1e3:.2f}",
-            )
+            {
+                "scans": s["scans"],
+                "memory (MB)": f"{s['mb']:.1f}",
+                "localized": f"{100 * s['localized'] / s['scans']:.1f} %",
+                "false (m)": round(s["false_m"], 1),
+                "odometry lost": s["losses"],
+                "odometry (ms a scan)": f"{odometry:.1f}",
+                "scan, de-skewed and accumulated (ms)": f"{scan:.1f}",
+                "segmentation of queries (ms)": f"{segmentation:.1f}",
+                "rest of queries (ms)": f"{query - segmentation:.1f}",
+                "share of a core at 10 Hz": f"{(odometry + scan + query) * RATE_HZ / 1e3:.2f}",
+            }
         )
     return rows
 
@@ -417,7 +391,7 @@ def growth(samples: list[Sample]) -> float:
 def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     """Publish the tables of the streams, and of a LiDAR alone if measured."""
     streams = [r for r in records if "stream" in r]
-    tables = [Table(COLUMNS, table(streams), title="Streams")] if streams else []
+    tables = [table(streams)] if streams else []
     for sensor, samples in samples_of(records).items():
         minutes = samples[-1]["scans"] / RATE_HZ / 60
         title = f"A LiDAR alone ({sensor}), {minutes:.1f} minutes of stream"
@@ -425,7 +399,7 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
             f"After the first row memory grows by {100 * growth(samples):.1f} % "
             f"(limit {100 * MAX_GROWTH:g} %). Times are of the processor, one thread."
         )
-        tables.append(Table(ALONE_COLUMNS, alone_table(samples), note, title))
+        tables.append(Table.of(alone_table(samples), note, title))
     publish(folder, "Robots followed on one core", *tables)
 
 

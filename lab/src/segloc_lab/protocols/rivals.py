@@ -30,7 +30,7 @@ import functools
 import itertools
 import re
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -41,11 +41,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segloc import geometry
-from segloc.errors import ConfigError
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path
 from segloc.tools.export import nav2
 from segloc.types import Float64
 
+from ..outcomes import pose_error
 from ..peers.compare import threshold
 from ..peers.contour_context import ContourContexts
 from ..peers.contour_context import Settings as ContourSettings
@@ -54,21 +54,21 @@ from ..peers.export import VIEW_EVERY_M, VIEWS_M, views
 from ..peers.particle_filter import Grid, ParticleFilter, planar
 from ..peers.particle_filter import Settings as FilterSettings
 from ..peers.scan_context import Candidate, Places, Query, ScanContexts, sideways
+from ..peers.study import checked
 from ..recordings import Cached
 from ..report import Cell, Table, publish, share
 from ..runner import Runner
 from .kidnapping import (
     ALIKE,
     ALIKE_KINDS,
-    EVENTS,
     OFF_DEG,
     OFF_M,
     Carried,
     Localized,
     Trial,
     World,
+    became,
     events,
-    row,
     world_of,
 )
 
@@ -128,9 +128,9 @@ class Followed:
     def trial(self, least: float) -> Trial:
         """Return what became of the robot with that threshold."""
         found = self.localized(least)
-        became = events(found, self.first, np.array(self.path_m), self.spacing_m)
+        known = events(found, self.first, np.array(self.path_m), self.spacing_m)
         return Trial(
-            *(self.seed, self.number, self.scene, self.sensor, ALIKE), **became, carried_on=0.0
+            *(self.seed, self.number, self.scene, self.sensor, ALIKE), **known, carried_on=0.0
         )
 
 
@@ -274,10 +274,7 @@ def follow(known: Prepared, carried: Carried, number: int, system: str) -> Follo
         right, scores = segloc(known, carried, number)
     else:
         answers = RIVALS[system](known, carried, number)
-        right = [
-            T is not None and _is_right(T, truth)
-            for (T, _), truth in zip(answers, truths, strict=True)
-        ]
+        right = [_is_right(T, truth) for (T, _), truth in zip(answers, truths, strict=True)]
         scores = [None if score is None else round(score, 4) for _, score in answers]
     spent_ms = 1e3 * (time.process_time() - begun) / len(truths)
     within = known.within(truths)
@@ -288,13 +285,11 @@ def follow(known: Prepared, carried: Carried, number: int, system: str) -> Follo
     )
 
 
-def _is_right(T: Float64, truth: Float64) -> bool:
-    off = geometry.inverse(truth) @ T
-    degrees = np.degrees(geometry.rotation_angle(off))
-    return bool(np.linalg.norm(off[:3, 3]) <= OFF_M and degrees <= OFF_DEG)
+def _is_right(T: Float64 | None, truth: Float64) -> bool:
+    metres, degrees = pose_error(T, truth)
+    return metres <= OFF_M and degrees <= OFF_DEG
 
 
-COLUMNS = ("system", "right, of scans in the map", *EVENTS, "processor ms a scan")
 NOTE = (
     "Right: localized within 2 m and 10 degrees, of the scans within 3 m of the mapped path, "
     "before and after the robot is carried away. Noticed, recovered: of those known before. False: "
@@ -307,7 +302,7 @@ NOTE = (
 
 def table(found: list[Followed]) -> Table:
     """Return a row per system."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[dict[str, Cell]] = []
     for system in (s for s in SYSTEMS if any(f.system == s for f in found)):
         here = [f for f in found if f.system == system]
         if system == "particle-filter":
@@ -317,7 +312,7 @@ def table(found: list[Followed]) -> Table:
             rows.append(_row(ONCE[system], here, [_threshold(here, f.seed) for f in here]))
         else:
             rows.append(_row(system, here, [0.0] * len(here)))
-    return Table(COLUMNS, rows, NOTE)
+    return Table.of(rows, NOTE)
 
 
 def _threshold(found: Iterable[Followed], seed: int) -> float:
@@ -335,14 +330,14 @@ def _threshold(found: Iterable[Followed], seed: int) -> float:
     return threshold(scores[~is_right], scores[is_right])
 
 
-def _row(name: str, found: list[Followed], least: list[float]) -> tuple[Cell, ...]:
+def _row(name: str, found: list[Followed], least: list[float]) -> dict[str, Cell]:
     trials = [each.trial(limit) for each, limit in zip(found, least, strict=True)]
     within = np.concatenate([each.within for each in found])
     localized = [each.localized(limit).right for each, limit in zip(found, least, strict=True)]
     right = int((np.concatenate(localized) & within).sum())
-    _, *became = row((name,), trials)
     ms = float(np.mean([each.ms for each in found]))
-    return (name, share(right, int(within.sum())), *became, round(ms, 1))
+    seen = {"system": name, "right, of scans in the map": share(right, int(within.sum()))}
+    return {**seen, **became(trials), "processor ms a scan": round(ms, 1)}
 
 
 def followed_of(results: Iterable[Mapping[str, Any]]) -> list[Followed]:
@@ -354,14 +349,6 @@ def followed_of(results: Iterable[Mapping[str, Any]]) -> list[Followed]:
 def report(found: list[Followed], folder: Path | None) -> None:
     """Publish the table."""
     publish(folder, "Rivals on the drives of kidnapped robots", table(found))
-
-
-def chosen(systems: Collection[str]) -> list[str]:
-    """Return the systems, or raise ConfigError for an unknown one."""
-    for each in systems:
-        if each not in SYSTEMS:
-            raise ConfigError(f"--systems: no {each!r}; available: {', '.join(SYSTEMS)}")
-    return list(systems)
 
 
 def main() -> None:
@@ -379,7 +366,8 @@ def main() -> None:
         carried = known.carried(number)
         return None if carried is None else asdict(follow(known, carried, number, system))
 
-    tasks = itertools.product(runner.seeds, range(args.trials), chosen(args.systems))
+    systems = checked(args.systems, SYSTEMS, "--systems")
+    tasks = itertools.product(runner.seeds, range(args.trials), systems)
     report(followed_of(runner.run(followed, tasks, ("seed", "number", "system"))), args.report)
 
 

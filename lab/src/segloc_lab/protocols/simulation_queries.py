@@ -371,19 +371,7 @@ def piece(scenario: Scenario, seed: int, work: Path, count: int) -> Iterator[Row
         yield {"index": int(drive.indices[-1]) // 100, "where": where} | answer
 
 
-COLUMNS = (
-    "scenario",
-    "expected",
-    "found",
-    "false",
-    "on wrong floors",
-    "ambiguous",
-    "ms",
-    "what those not found lack",
-)
-
-
-def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
+def cells(name: str, expected: str, rows: list[Row]) -> dict[str, Cell]:
     """Return a line of the table."""
     right = sum(r["right"] for r in rows)
     false = [r for r in rows if r["localized"] and not r["right"]]
@@ -391,12 +379,19 @@ def cells(name: str, expected: str, rows: list[Row]) -> tuple[Cell, ...]:
     ambiguous = sum(r["reason"] == "AMBIGUOUS" for r in rows)
     causes = [r["cause"] for r in rows if "cause" in r]
     told = ", ".join(f"{causes.count(c)} {c}" for c in sorted(set(causes)))
-    ms = round(float(np.median([r["ms"] for r in rows])))
-    queried = len(rows) if expected == "refused" else share(right, len(rows))
-    return name, expected, queried, len(false), floors, ambiguous, ms, told or None
+    return {
+        "scenario": name,
+        "expected": expected,
+        "found": len(rows) if expected == "refused" else share(right, len(rows)),
+        "false": len(false),
+        "on wrong floors": floors,
+        "ambiguous": ambiguous,
+        "ms": round(float(np.median([r["ms"] for r in rows]))),
+        "what those not found lack": told or None,
+    }
 
 
-def table(results: Mapping[str, list[Row]]) -> list[tuple[Cell, ...]]:
+def table(results: Mapping[str, list[Row]]) -> list[dict[str, Cell]]:
     """Return one line per scenario, in mines one per kind of place."""
     lines: dict[tuple[str, str], list[Row]] = {}
     for key, rows in results.items():
@@ -414,7 +409,7 @@ def report(results: Mapping[str, list[Row]], folder: Path | None) -> None:
         "Right: within 3 m and 5 degrees, and 1.5 m in height. Milliseconds of processor time of "
         "one thread, on a machine with other work."
     )
-    publish(folder, "Simulated places", Table(COLUMNS, table(results), note))
+    publish(folder, "Simulated places", Table.of(table(results), note))
 
 
 def main() -> None:
@@ -434,7 +429,7 @@ def main() -> None:
                 results[key] = list(piece(scenario, seed, args.work, args.count))
                 with replacing(args.out) as stream:
                     stream.write(json.dumps(results, indent=1).encode())
-                print(row(*cells(key, scenario.expected, results[key])), flush=True)
+                print(row(*cells(key, scenario.expected, results[key]).values()), flush=True)
     report(results, args.report)
 
 

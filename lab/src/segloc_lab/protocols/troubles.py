@@ -238,22 +238,9 @@ def _back_m(stream: Stream, localized: Sequence[int]) -> float | None:
     return None if again is None else round(float(travelled[again] - travelled[returns]), 1)
 
 
-COLUMNS = (
-    "trouble",
-    "version",
-    "worlds",
-    "localized, of scans near the mapped path",
-    "false (m)",
-    "degraded and false (m)",
-    "degraded within three sigma",
-    "first fix or return, median / 95 % (m)",
-    "a scan (ms)",
-)
-
-
-def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
-    """Return one row a trouble and version."""
-    rows: list[tuple[Cell, ...]] = []
+def table(records: list[dict[str, Any]], of: str = "trouble") -> list[dict[str, Cell]]:
+    """Return one row a trouble and version; ``of`` is the name of the first column."""
+    rows: list[dict[str, Cell]] = []
     names = [(r["trouble"], r["version"]) for r in records]
     troubles = list(dict.fromkeys(trouble for trouble, _ in names))
     for trouble, version in sorted(dict.fromkeys(names), key=lambda name: troubles.index(name[0])):
@@ -265,20 +252,22 @@ def table(records: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
         degraded, within = (sum(r[key] for r in here) for key in ("degraded", "degraded_within"))
         fixes = [fix for r in here for fix in r["first_fix"]]
         fixes += [r["back_m"] for r in here if "back_m" in r]
+        fixes = [np.inf if fix is None else fix for fix in fixes]
         ms = sum(sum(r["scan_ms"]) + sum(r["query_ms"]) for r in here)
+        localized = f"{total['localized']} of {total['covered']}"
+        percent = 100 * total["localized"] / max(1, total["covered"])
         rows.append(
-            (
-                trouble,
-                version,
-                len(here),
-                f"{total['localized']} of {total['covered']} "
-                f"({100 * total['localized'] / max(1, total['covered']):.1f} %)",
-                round(total["false_m"], 1),
-                round(total["degraded_false_m"], 1),
-                f"{within} of {degraded}",
-                spread([np.inf if fix is None else fix for fix in fixes], 95, 0),
-                f"{ms / max(1, total['scans']):.0f}",
-            )
+            {
+                of: trouble,
+                "version": version,
+                "worlds": len(here),
+                "localized, of scans near the mapped path": f"{localized} ({percent:.1f} %)",
+                "false (m)": round(total["false_m"], 1),
+                "degraded and false (m)": round(total["degraded_false_m"], 1),
+                "degraded within three sigma": f"{within} of {degraded}",
+                "first fix or return, median / 95 % (m)": spread(fixes, 95, 0),
+                "a scan (ms)": f"{ms / max(1, total['scans']):.0f}",
+            }
         )
     return rows
 
@@ -294,8 +283,8 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
     publish(
         folder,
         "Robots in trouble",
-        Table(COLUMNS, table(records)),
-        Table(("world", *COLUMNS[1:]), table(plain), title="No trouble, by kind of world"),
+        Table.of(table(records)),
+        Table.of(table(plain, "world"), title="No trouble, by kind of world"),
         Table(("trouble", "version", "world", "false (m)"), worst, title="Where poses are false"),
     )
 
