@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.plaza import Plaza, PlazaSequence
 from segloc_lab import recordings, stages
-from segloc_lab.bench.harness import Plaza, PlazaWalk
 from segloc_lab.recordings import kept
 from segloc_lab.simulation import Conditions, building, simulate_sessions, vlp16
 
@@ -16,7 +16,7 @@ from segloc.system.stage_times import StageTimes
 
 
 def test_a_single_pass_goes_through_every_stage() -> None:
-    walk = PlazaWalk(Plaza(), steps=4)
+    walk = PlazaSequence(Plaza(0), steps=4)
     localizer = Localizer(build_map(walk, Config.preset("geo")))
     watch = StageTimes(stages.processor_clock)
     scene, matches = stages.single_pass(localizer, walk.scan(2), watch)
@@ -25,7 +25,7 @@ def test_a_single_pass_goes_through_every_stage() -> None:
 
 
 def test_beams_are_left_out_without_poses() -> None:
-    walk = PlazaWalk(Plaza(), steps=2)
+    walk = PlazaSequence(Plaza(0), steps=2)
     thinned = recordings.FewerBeams(walk, 8)
     few, all_points = thinned.scan(0), walk.scan(0)
     assert thinned.poses is None and few.T_odom_sensor is None and len(thinned) == 2

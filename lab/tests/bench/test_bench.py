@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.bench import fps, front, geometric, harness, network, versions, works
 from segloc_lab.cli import bench as suite
 from typer.testing import CliRunner
 
 import segloc
-from segloc import ConfigError, MemoryRecording, SeglocError, _native
+from segloc import ConfigError, MemoryRecording, SeglocError, _native, geometry
 from segloc.tools.cli import app
 
 
@@ -67,8 +68,13 @@ def small(monkeypatch):
         monkeypatch.setattr(module, constant, value)
 
 
-class Walked(harness.PlazaWalk):
-    """A walk in place of a simulated drive."""
+class Walked(PlazaSequence):
+    """A walk in place of a simulated drive, with a scan every 4 m."""
+
+    def __init__(self, plaza, steps):
+        super().__init__(plaza, steps)
+        way = [(-20.0 + 4 * k, 0.5 * k, 1.8) for k in range(steps)]
+        self.poses = np.stack([geometry.yaw_transform(0.05 * k, t) for k, t in enumerate(way)])
 
     @property
     def truth(self):
@@ -79,7 +85,7 @@ class Walked(harness.PlazaWalk):
 
 
 def walked(sensor, firings, *, seed=0, length_m=88.0, **_):
-    return Walked(harness.Plaza(seed, objects=100, size_m=150.0), steps=int(length_m / 4))
+    return Walked(Plaza(seed, objects=100, size=150.0), steps=int(length_m / 4))
 
 
 @pytest.mark.slow

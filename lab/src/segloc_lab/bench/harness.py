@@ -256,9 +256,6 @@ def _kernel(row: Row) -> tuple[Cell, ...]:
     return f"`{row.name}`", row.threads, ours_ms, rivals or None, bound
 
 
-SENSOR_HEIGHT_M = 1.8
-
-
 def segments(count: int, points: int = 256, seed: int = 0) -> Float32:
     """Shells of boxes of the sizes of street furniture, cars and walls, (count, points, 3)."""
     rng = np.random.default_rng(seed)
@@ -304,28 +301,6 @@ class Plaza:
         points = points[np.hypot(points[:, 0], points[:, 1]) < 50.0]
         points += np.random.default_rng(seed).normal(0, 0.02, points.shape)
         return Scan(points, stamp=float(seed), T_odom_sensor=T_world_sensor)
-
-
-class PlazaWalk:
-    """A walk across a plaza; a recording."""
-
-    name = "plaza"
-
-    def __init__(self, plaza: Plaza, steps: int = 12) -> None:
-        self._plaza = plaza
-        self.indices: Int64 = np.arange(steps, dtype=np.int64)
-        self.stamps: Float64 | None = None
-        path = [(-20.0 + 4 * k, 0.5 * k, SENSOR_HEIGHT_M) for k in range(steps)]
-        self.poses: Float64 = np.stack(
-            [geometry.yaw_transform(0.05 * k, t) for k, t in enumerate(path)]
-        )
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    def scan(self, i: int) -> Scan:
-        """The scan at position i."""
-        return self._plaza.scan(self.poses[i], seed=i)
 
 
 def local_cloud() -> Float32:

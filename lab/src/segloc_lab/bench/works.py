@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -138,24 +138,6 @@ def stream_vlp16(_: Path | None) -> Iterator[Work]:
     """Follow a stream of a VLP-16."""
     yield followed("vlp16", 1800)
 
-
-WORKS: dict[str, Callable[[Path | None], Iterator[Work]]] = {
-    work.__name__: work
-    for work in (
-        stages,
-        query,
-        million,
-        tiles,
-        accumulated,
-        os1_128,
-        build,
-        align,
-        stream,
-        stream_os1_128,
-        stream_vlp16,
-    )
-}
-"""By name; each is made of a folder of real recordings, or simulated."""
 
 Place = tuple[SegmentMap, list[Input]]
 """A map, and queries in it and of other places."""

@@ -44,7 +44,10 @@ WORKS = (
     "stream_os1_128",
     "stream_vlp16",
 )
-"""Whole work, in ``segloc_lab.bench.works``; it is timed beside other versions."""
+"""Whole work, in ``segloc_lab.bench.works``; it is timed beside other versions.
+
+Each is made of a folder of real recordings, or simulated.
+"""
 
 
 def kernel(name: str) -> Callable[[int, int], Row]:
@@ -99,11 +102,11 @@ class Plan:
     def works(self) -> Iterator[list[Sequence[Cell]]]:
         """Time whole work; yield rows of its table, work by work."""
         from ..bench.versions import commands, measure
-        from ..bench.works import WORKS
 
+        works = import_module("segloc_lab.bench.works")
         with commands(self.against) as versions:
             for name in self.names:
-                for work in WORKS[name](self.data) if name in WORKS else ():
+                for work in getattr(works, name)(self.data) if name in WORKS else ():
                     for threads in self.threads:
                         yield list(measure(versions, work, threads, self.repeats))
 
