@@ -22,7 +22,6 @@ from segloc.descriptors import Descriptor, create
 from segloc.tools.batch import PATH_BREAK_M, Evaluation
 from segloc.types import Float64
 
-from ..parallel import in_parallel
 from ..report import apart, mcnemar
 from . import comparison
 from .comparison import (
@@ -465,11 +464,7 @@ Prepared = tuple[Mapping[str, QuerySet], Mapping[str, Descriptor], Mapping[str, 
 def make_maps(workspace: Workspace, jobs: Sequence[Job]) -> None:
     """Build missing maps of all jobs, each in its own process."""
     left = [(job, name) for job in jobs for name in PLACES if not (job.maps / name).exists()]
-    with workspace.progress("Building maps") as update:
-        update(0, len(left))
-        made = in_parallel(_make_map, left, workspace.workers, workspace.executor)
-        for count, _ in enumerate(made, 1):
-            update(count, len(left))
+    list(workspace.each("Building maps", _make_map, left))
 
 
 def _make_map(task: tuple[Job, str]) -> None:

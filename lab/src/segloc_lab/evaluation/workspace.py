@@ -141,14 +141,23 @@ class Workspace:
             k: part for k, key in enumerate(keys) if (part := self.find(*key, load)) is not None
         }
         left = [k for k in range(len(tasks)) if k not in found]
-        with self.progress(title) as update:
-            update(0, len(left))
-            done = in_parallel(work, [tasks[k] for k in left], self.workers, self.executor)
-            for count, (number, value) in enumerate(done, 1):
-                found[left[number]] = value
-                self.keep(*keys[left[number]], value, save)
-                update(count, len(left))
+        for number, value in self.each(title, work, [tasks[k] for k in left]):
+            found[left[number]] = value
+            self.keep(*keys[left[number]], value, save)
         return [found[k] for k in range(len(tasks))]
+
+    def each(
+        self, title: str, work: Callable[[Task], T], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, T]]:
+        """Yield the number and result of each task, done in parallel, and show how many are."""
+        if not tasks:
+            return
+        with self.progress(title) as update:
+            update(0, len(tasks))
+            found = in_parallel(work, tasks, self.workers, self.executor)
+            for done, result in enumerate(found, start=1):
+                yield result
+                update(done, len(tasks))
 
     def find(
         self, name: str, settings: Mapping[str, object], load: Callable[[Path], T]

@@ -109,17 +109,17 @@ def test_simulated_domains_hold_true_pairs(patched: pytest.MonkeyPatch, tmp_path
     size = DomainSize(1, 1, "small")
     with patched.context() as patch:
         patch.setattr(making, "_simulate", SIMULATE)
-        folder = making.simulated(tmp_path, "burgess", "train", size)
+        folder = making.simulated(Workspace(tmp_path), "burgess", "train", size)
         dataset = load_dataset(folder)
         pairs = labelled_pairs(dataset)
         known = dataset.objects[pairs.first], dataset.objects[pairs.second]
         assert (known[0] == known[1])[pairs.same].mean() > 0.7
         assert (known[0] == known[1])[~pairs.same].mean() < 0.1
         (folder / "index.json").unlink()  # as if it had been cut off at the end
-        making.simulated(tmp_path, "burgess", "train", size)
+        making.simulated(Workspace(tmp_path), "burgess", "train", size)
     np.testing.assert_array_equal(load_dataset(folder).labels, dataset.labels)
     with pytest.raises(ConfigError, match="atlantis"):
-        making.simulated(tmp_path, "atlantis", "train", size)
+        making.simulated(Workspace(tmp_path), "atlantis", "train", size)
 
 
 def test_roc_study(curves: Study) -> None:
@@ -139,7 +139,7 @@ def test_every_kind_of_weights_is_trained_and_read(space: Workspace) -> None:
     ]
     dataset = load_dataset(data)
     few = labelled_pairs(dataset, limit=10)
-    for training, path in zip(wanted, trained(wanted), strict=True):
+    for training, path in zip(wanted, trained(space, wanted), strict=True):
         assert path == training.out and not path.with_suffix(".checkpoint").exists()
         descriptor = load_method(training.method, path)
         scores = pair_module.pair_scores(

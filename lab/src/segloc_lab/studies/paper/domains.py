@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.tools.datasets import Sequence
 
 from ... import kitti00
-from ...parallel import in_parallel
 from ...recordings import Surveyed
 from ...simulation import LineLidar, SimulatedSequence
 from ...simulation.suites import SIX, SWATHE_M, TestSet
@@ -108,28 +106,11 @@ def _jobs(folder: Path, domain: str, split: str, size: DomainSize, seed: int) ->
     ]
 
 
-def dataset_folder(root: Path, domain: str, split: str, size: DomainSize, seed: int) -> Path:
-    """Return the folder of a domain's segments, named by its settings."""
-    first = seed + _suite(domain).first_seed
-    key = [domain, split, size.worlds(split), size.scale, first, _EXTRACT.model_dump(mode="json")]
-    return root / f"{domain}-{split}-{_hash(key)}"
-
-
-def simulated(
-    root: Path,
-    domain: str,
-    split: str,
-    size: DomainSize,
-    *,
-    seed: int = 0,
-    workers: int = 1,
-    executor: Executor | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Path:
-    """Make the segments of a simulated domain below ``root``, unless they exist.
+def simulated(space: Workspace, domain: str, split: str, size: DomainSize) -> Path:
+    """Make the segments of a simulated domain in a folder named by its settings, unless they exist.
 
     What was made before an interruption is kept. The result depends neither on the number of
-    workers nor on interruptions. ``progress`` is called with (sessions done, sessions in all).
+    workers nor on interruptions.
 
     Returns
     -------
@@ -138,16 +119,15 @@ def simulated(
     """
     if domain not in SIMULATED or split not in SPLITS:
         raise ConfigError(f"no domain {domain!r} with a split {split!r}")
-    folder = dataset_folder(root, domain, split, size, seed)
+    first = space.seed + _suite(domain).first_seed
+    key = [domain, split, size.worlds(split), size.scale, first, _EXTRACT.model_dump(mode="json")]
+    folder = space.out / "datasets" / f"{domain}-{split}-{_hash(key)}"
     if (folder / INDEX).exists():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = _jobs(folder, domain, split, size, seed)
-    sessions: list[Session] = []
-    for _, session in in_parallel(_simulate, jobs, workers, executor):
-        sessions.append(session)
-        progress(len(sessions), len(jobs))
-    finish(folder, sessions, _EXTRACT.label)
+    jobs = _jobs(folder, domain, split, size, space.seed)
+    made = space.each(f"Simulating {domain} ({split})", _simulate, jobs)
+    finish(folder, [session for _, session in made], _EXTRACT.label)
     return folder
 
 
@@ -248,21 +228,10 @@ class Domains:
         return self._folders[domain, split]
 
     def _made(self, domain: str, split: str) -> Path:
-        space, root = self._workspace, self._workspace.out / "datasets"
+        space = self._workspace
         if domain == RECORDED and space.data is not None:
-            return recorded(root, space.data, split, say=space.say)
-        size = self._sizes[domain]
-        with space.progress(f"Simulating {domain} ({split})") as update:
-            return simulated(
-                root,
-                domain,
-                split,
-                size,
-                seed=space.seed,
-                workers=space.workers,
-                executor=space.executor,
-                progress=update,
-            )
+            return recorded(space.out / "datasets", space.data, split, say=space.say)
+        return simulated(space, domain, split, self._sizes[domain])
 
     def dataset(self, domain: str, split: str) -> SegmentDataset:
         """Return the segments of a domain."""

@@ -37,14 +37,7 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     transfer = Transfer(workspace, plan)
     tests = transfer.domains.names
     transfer.prepare(tests)
-    rows = [(test, source) for test in tests for source in _sources(test)]
-    transfer.score([(source, test) for test, source in rows])
-    areas: Areas = {}
-    with workspace.progress("Adding up") as update:
-        for done, (test, source) in enumerate(rows):
-            update(done, len(rows))
-            found = {m: transfer.curve(m, source, test) for m in transfer.methods}
-            areas[test, source] = {m: curve for m, curve in found.items() if curve is not None}
+    areas = transfer.curves([(source, test) for test in tests for source in _sources(test)])
     facts = workspace.facts(time.monotonic() - start, transfer.fingerprints)
     facts["steps"] = dict(transfer.plan.effort.steps)
     tables = (*_tables(transfer, areas), _published())
@@ -65,7 +58,7 @@ def _tables(transfer: Transfer, areas: Areas) -> tuple[Table, ...]:
         "prune near candidates, not to judge any pair."
     )
     best: dict[str, float] = {}
-    for (test, _), row in areas.items():
+    for (_, test), row in areas.items():
         best[test] = max([best.get(test, 0.0), *(curve.area.value for curve in row.values())])
 
     def table(name: str, title: str, note: str, cell: Callable[[str, Roc], Cell]) -> Table:
@@ -75,7 +68,7 @@ def _tables(transfer: Transfer, areas: Areas) -> tuple[Table, ...]:
                 TITLES[source],
                 *(cell(test, row[m]) if m in row else None for m in transfer.methods),
             )
-            for (test, source), row in areas.items()
+            for (source, test), row in areas.items()
         )
         columns = ("test", "trained on", *transfer.methods)
         return Table(name, title, columns, rows, note)

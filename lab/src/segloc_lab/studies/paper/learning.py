@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from segloc.errors import MissingDependency
 
 from ...evaluation.comparison import QUALITY
 from ...evaluation.workspace import mute
-from ...parallel import in_parallel
 from ...training.config import TrainConfig
 from ...training.grow_forest import ForestConfig, train_forest
 from ...training.shards import INDEX, load_dataset
@@ -125,13 +123,7 @@ def network_config(network: str, steps: int, *, seed: int = 0, **more: Any) -> T
     return TrainConfig(**{**values, **_OWN.get(network, {}), **more})
 
 
-def trained(
-    trainings: Sequence[Training],
-    *,
-    workers: int = 1,
-    executor: Executor | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Path]:
+def trained(workspace: Workspace, trainings: Sequence[Training]) -> list[Path]:
     """Return the weights of every training, in order; existing ones are reused.
 
     An interrupted training resumes. Each takes one thread, so results do not depend on the number
@@ -143,19 +135,18 @@ def trained(
             importlib.import_module("torch")
         except ImportError as error:
             raise MissingDependency("torch", "lab", "training") from error
-    progress(0, len(missing))
     missing.sort(key=_order)  # long ones first: at the end no process waits for another
-    for done, _ in enumerate(in_parallel(_train, missing, workers, executor), start=1):
-        progress(done, len(missing))
+    list(workspace.each("Training", _train, missing))
     return [each.out for each in trainings]
 
 
-def trained_in(workspace: Workspace, trainings: Sequence[Training]) -> list[Path]:
-    """Do :func:`trained` by the means of a workspace."""
-    with workspace.progress("Training") as update:
-        return trained(
-            trainings, workers=workspace.workers, executor=workspace.executor, progress=update
-        )
+def trained_dsm(
+    workspace: Workspace, data: Path, steps: int, settings: Sequence[Mapping[str, Any]]
+) -> list[Path]:
+    """Do :func:`trained` for DSM with each of some settings of :class:`TrainConfig`."""
+    configs = [network_config("dsm", steps, seed=workspace.seed, **each) for each in settings]
+    root = workspace.out / "models"
+    return trained(workspace, [Training("dsm", data, config, root) for config in configs])
 
 
 def _order(training: Training) -> int:

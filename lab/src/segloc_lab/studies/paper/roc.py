@@ -41,15 +41,8 @@ def run(workspace: Workspace, plan: Plan | None = None) -> Study:
     domains = transfer.domains.names
     transfer.prepare(domains)
     scored = [method for method in _SCORED if method in transfer.methods]
-    transfer.score([(domain, domain) for domain in domains], scored)
-    curves: Curves = {domain: {} for domain in domains}
-    cells = [(domain, method) for domain in domains for method in transfer.methods]
-    with workspace.progress("Adding up") as update:
-        for done, (domain, method) in enumerate(cells):
-            update(done, len(cells))
-            curve = transfer.curve(method, domain, domain)
-            if curve is not None:
-                curves[domain][method] = curve
+    found = transfer.curves([(domain, domain) for domain in domains], scored)
+    curves: Curves = {domain: each for (domain, _), each in found.items()}
     tables = (_areas(transfer, curves), _published(), _details(curves), _judges(transfer, curves))
     figures = tuple(_figure(domain, found) for domain, found in curves.items())
     facts = workspace.facts(time.monotonic() - start, transfer.fingerprints)

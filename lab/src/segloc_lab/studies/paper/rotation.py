@@ -18,7 +18,7 @@ from segloc.types import Float32, Float64, Segments
 from ...evaluation.study import Cell, Figure, Study, Table
 from ...training.config import AugmentConfig
 from .domains import Domains, DomainSize
-from .learning import Training, load_method, network_config, trained_in
+from .learning import load_method, trained_dsm
 from .pairs import described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace
 
@@ -138,24 +138,9 @@ def _name(alignment: Alignment, augmented: bool) -> str:
 
 def _trained(workspace: Workspace, domains: Domains, plan: Plan) -> dict[str, Descriptor]:
     """Return the six trained methods, and ours as shipped."""
-    data = domains.folder(DOMAIN, "train")
     variants = [(alignment, yaw) for yaw in (False, True) for alignment in _ALIGNMENTS]
-    trainings = [
-        Training(
-            "dsm",
-            data,
-            network_config(
-                "dsm",
-                plan.steps,
-                seed=workspace.seed,
-                alignment=alignment,
-                augmentation=AugmentConfig(yaw=yaw),
-            ),
-            workspace.out / "models",
-        )
-        for alignment, yaw in variants
-    ]
-    weights = trained_in(workspace, trainings)
+    settings = [{"alignment": a, "augmentation": AugmentConfig(yaw=yaw)} for a, yaw in variants]
+    weights = trained_dsm(workspace, domains.folder(DOMAIN, "train"), plan.steps, settings)
     result = {
         _name(*variant): load_method("dsm", path)
         for variant, path in zip(variants, weights, strict=True)

@@ -17,10 +17,10 @@ from ...bench.fps import SAMPLES, SEGMENTS, fps
 from ...bench.harness import OURS, Row, in_process
 from ...evaluation.study import Cell, Study, Table
 from ...training.config import Sampler
-from ...training.dataset import SegmentDataset
+from ...training.dataset import SegmentDataset, chunks
 from ...training.metrics import score
 from .domains import Domains, DomainSize
-from .learning import Training, network_config, trained_in
+from .learning import network_config, trained_dsm
 from .pairs import Described, labelled_pairs, pair_scores, roc
 from .workspace import Workspace
 
@@ -30,7 +30,6 @@ NAIVE = "NumPy, a segment at a time"
 K = 25
 
 _SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
-_AT_ONCE = 1024
 _TEXT = """\
 DSM keeps ever fewer points of a segment from layer to layer. Which points it keeps, a sampler \
 decides: the farthest from those it has, random ones, or rather those where points are sparse. The \
@@ -109,17 +108,8 @@ def _speeds(measured: Row) -> Table:
 def _rows(
     workspace: Workspace, domains: Domains, plan: Plan
 ) -> tuple[list[tuple[Cell, ...]], dict[str, str]]:
-    data = domains.folder(DOMAIN, "train")
-    trainings = [
-        Training(
-            "dsm",
-            data,
-            network_config("dsm", plan.steps, seed=workspace.seed, sampler=sampler),
-            workspace.out / "models",
-        )
-        for sampler in _SAMPLERS
-    ]
-    weights = trained_in(workspace, trainings)
+    settings = [{"sampler": sampler} for sampler in _SAMPLERS]
+    weights = trained_dsm(workspace, domains.folder(DOMAIN, "train"), plan.steps, settings)
     dataset = domains.dataset(DOMAIN, "test").limited(plan.segments, workspace.seed)
     pairs = labelled_pairs(dataset, limit=plan.pairs, seed=workspace.seed)
     rows: list[tuple[Cell, ...]] = []
@@ -146,8 +136,7 @@ def sampled_vectors(weights: Path, dataset: SegmentDataset, sampler: Sampler) ->
     network = load_weights(weights).network
     config = network_config("dsm", 1, sampler=sampler)
     parts = [np.empty((0, network.dim), np.float32)]
-    for first in range(0, len(dataset), _AT_ONCE):
-        indices = np.arange(first, min(first + _AT_ONCE, len(dataset)))
+    for indices in chunks(len(dataset), 1024):
         parts.append(network.describe(prepared_points(dataset, indices, config), 1)[0])
     return np.concatenate(parts)
 

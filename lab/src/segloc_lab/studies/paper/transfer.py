@@ -15,7 +15,6 @@ from segloc.types import Float64
 from ...evaluation.comparison import METHODS
 from ...evaluation.comparison import fingerprint as shipped_fingerprint
 from ...evaluation.workspace import mute, silent
-from ...parallel import in_parallel
 from ...training.shards import INDEX
 from .domains import RECORDED, SIZES, Domains, DomainSize
 from .learning import (
@@ -27,7 +26,6 @@ from .learning import (
     load_method,
     source_of,
     trained,
-    trained_in,
 )
 from .pairs import Described, Pairs, Roc, described, labelled_pairs, pair_scores, roc, trust_scores
 from .workspace import Workspace
@@ -108,24 +106,27 @@ class Transfer:
             for method in dict.fromkeys(map(source_of, self.methods))
             if method in (*NETWORKS, *FORESTS)
         ]
-        trained_in(self.workspace, wanted)
+        trained(self.workspace, wanted)
 
-    def score(self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()) -> None:
-        """Compute all curves of each (source, test), in parallel if there are processes.
+    def curves(
+        self, cells: Sequence[tuple[str, str]], trusted: Sequence[str] = ()
+    ) -> dict[tuple[str, str], dict[str, Roc]]:
+        """Return the curves of all methods of each (source, test), made in parallel.
 
-        ``trusted`` are the methods of which :meth:`trust` is made, too. What is made is kept, so
-        that :meth:`curve` and :meth:`trust` find it.
+        :meth:`trust` of the ``trusted`` methods is made and kept with them.
         """
         space = self.workspace
-        if space.workers == 1 and space.executor is None:
-            return
-        alone = replace(space, progress=silent, say=mute, workers=1, executor=None)
-        work = partial(_score, alone, self.plan, tuple(trusted))
-        with space.progress("Scoring pairs") as update:
-            update(0, len(cells))
-            found = in_parallel(work, cells, space.workers, space.executor)
-            for done, _ in enumerate(found, start=1):
+        if space.workers > 1 or space.executor is not None:
+            alone = replace(space, progress=silent, say=mute, workers=1, executor=None)
+            work = partial(_score, alone, self.plan, tuple(trusted))
+            list(space.each("Scoring pairs", work, cells))
+        curves = {}
+        with space.progress("Adding up") as update:
+            for done, cell in enumerate(cells):
                 update(done, len(cells))
+                found = {method: self.curve(method, *cell) for method in self.methods}
+                curves[cell] = {m: curve for m, curve in found.items() if curve is not None}
+        return curves
 
     def curve(self, method: str, source: str, test: str) -> Roc | None:
         """Return the ROC of a method trained on ``source`` on the pairs of ``test``.
@@ -168,7 +169,7 @@ class Transfer:
         base = source_of(method)
         if source == SHIPPED or base not in (*NETWORKS, *FORESTS):
             return None
-        return trained([self._training(base, source)])[0]
+        return trained(self.workspace, [self._training(base, source)])[0]
 
     def _cached(
         self,
