@@ -12,6 +12,8 @@ import typer
 
 from segloc.errors import ConfigError
 
+from .names import Report
+
 if TYPE_CHECKING:
     from ..bench.harness import Row
     from ..report import Cell
@@ -128,9 +130,7 @@ def bench(
             metavar="PYTHON|WHEEL", help="Another version, timed in turns; whole work only."
         ),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
-    ] = None,
+    report: Report = None,
 ) -> None:
     """Compare speed with other software, the processor's limits, and other versions.
 

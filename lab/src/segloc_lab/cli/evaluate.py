@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -19,13 +19,14 @@ from segloc.tools.cli.verbs import group
 
 from .evaluate_failures import failures
 from .evaluate_peers import peers
-from .names import split_names
+from .names import Report, split_names
 
 if TYPE_CHECKING:
-    from ..evaluation.scenario import PairScenario
     from ..evaluation.study import Study
     from ..studies.paper.workspace import Workspace
 
+
+Space = TypeVar("Space")
 
 OUT = Path("evaluation")
 _POSES, _ODOMETRY = Path("poses.tum"), Path("odometry.tum")
@@ -97,11 +98,6 @@ def show(study: Study, out: Path) -> None:
         if len(table.rows) <= LONG_ROWS:
             print(f"{table.text()}\n")
     print(f"stored in {out / study.name}")
-
-
-Report = Annotated[
-    Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
-]
 
 
 def kitti_paper(
@@ -212,8 +208,10 @@ def _add(group: typer.Typer, name: str) -> None:
         cluster: Cluster = None,
         report: Report = None,
     ) -> None:
-        given = (out, suite, scale, kitti, methods, seed, threads, workers)
-        with _workspace(*given, cluster) as workspace:
+        from ..studies.paper.workspace import Workspace
+
+        kind = partial(Workspace, suite=suite, scale=scale, data=kitti)
+        with _workspace(kind, out, methods, seed, threads, workers, cluster) as workspace:
             _run(name, workspace, report)
 
     command.__doc__ = _EXPLAINED[name]
@@ -251,10 +249,12 @@ def localization(
     On two own recordings, or by default on the places of the paper.
     """
     if mapped is None:
-        given = (out, suite, scale, kitti, methods, seed, threads, workers)
-        with _workspace(*given, cluster) as workspace:
-            only = None if sets is None else split_names(sets, "--sets")
-            _run("localization", replace(workspace, only=only), report)
+        from ..studies.paper import workspace as paper
+
+        only = split_names(sets, "--sets")
+        kind = partial(paper.Workspace, suite=suite, scale=scale, only=only, data=kitti)
+        with _workspace(kind, out, methods, seed, threads, workers, cluster) as workspace:
+            _run("localization", workspace, report)
         return
     if query is None:
         raise ConfigError("pass two recordings, one to map and one to localize in it")
@@ -266,56 +266,35 @@ def localization(
     truth = truth or _lying_in(query, _POSES)
     poses = poses or _lying_in(query, _ODOMETRY) or truth
     files = (mapped, query, map_poses, poses, truth, map_select, select, topic)
-    from ..evaluation.scenario import Pair, PairScenario
-
-    _compare(PairScenario(Pair(*files, every)), out, methods, threads, workers, cluster)
-
-
-def _compare(
-    scenario: PairScenario,
-    out: Path,
-    methods: str | None,
-    threads: int,
-    workers: int,
-    cluster: str | None,
-) -> None:
-    """Compare the methods on two recordings, print the tables and write the report."""
-    from segloc.system.processes import executing
-    from segloc.tools.cli.results import check_folder
-
     from ..evaluation.comparison_study import compare
+    from ..evaluation.scenario import Pair, PairScenario
     from ..evaluation.workspace import Workspace
 
-    check_folder(out)
-    means = (0, threads, workers, split_names(methods), progress, note, command_line())
-    with executing(1, cluster) as executor:
-        workspace = Workspace(out, *means, executor)
-        study = compare(workspace, [scenario], "own", "Localization of your own recordings")
+    scenario = PairScenario(Pair(*files, every))
+    with _workspace(Workspace, out, methods, 0, threads, workers, cluster) as space:
+        study = compare(space, [scenario], "own", "Localization of your own recordings")
     study.save(out / study.name)
     show(study, out)
 
 
 @contextmanager
 def _workspace(
+    kind: Callable[..., Space],
     out: Path,
-    suite: str,
-    scale: str,
-    kitti: Path | None,
     methods: str | None,
     seed: int,
     threads: int,
     workers: int,
     cluster: str | None,
-) -> Iterator[Workspace]:
+) -> Iterator[Space]:
+    """Yield a workspace that shows its progress on the console."""
     from segloc.system.processes import executing
     from segloc.tools.cli.results import check_folder
-
-    from ..studies.paper.workspace import Workspace
 
     check_folder(out)
     means = (seed, threads, workers, split_names(methods), progress, note, command_line())
     with executing(1, cluster) as executor:
-        yield Workspace(out, *means, executor, suite=suite, scale=scale, data=kitti)
+        yield kind(out, *means, executor)
 
 
 def _run(study: str, workspace: Workspace, report: Path | None) -> None:

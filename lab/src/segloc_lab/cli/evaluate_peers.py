@@ -9,7 +9,7 @@ import typer
 
 from segloc.tools.cli.console import say
 
-from .names import split_names
+from .names import Report, split_names
 
 
 def peers(
@@ -48,9 +48,7 @@ def peers(
             show_default=False,
         ),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
-    ] = None,
+    report: Report = None,
 ) -> None:
     """Compare segloc with other systems on the same clouds, one thread each.
 

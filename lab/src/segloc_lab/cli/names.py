@@ -1,8 +1,17 @@
-"""Lists of names on the command line."""
+"""What commands share: the option of a report, and lists of names."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
 from segloc.errors import ConfigError
+
+Report = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="New folder for a dated report.")
+]
 
 
 def split_names(given: str | None, option: str = "--methods") -> tuple[str, ...] | None:
