@@ -188,7 +188,7 @@ def machine() -> str:
 def environment() -> str:
     """Return the versions, the processor and the commit, one a line."""
     lines = [f"python {platform.python_version()} on {platform.platform()}"]
-    lines += [f"{name} {_version(name)}" for name in _PACKAGES]
+    lines += [f"{name} {version_of(name) or 'not installed'}" for name in _PACKAGES]
     return "\n".join([*lines, f"processor {machine()}", f"commit {commit()}"]) + "\n"
 
 
@@ -216,11 +216,12 @@ def git(*arguments: str) -> str:
     return subprocess.run(done, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def _version(name: str) -> str:
+def version_of(package: str) -> str | None:
+    """Return the version of a package; None if it is not installed."""
     try:
-        return version(name)
+        return version(package)
     except PackageNotFoundError:
-        return "not installed"
+        return None
 
 
 def _text(cell: Cell) -> str:

@@ -16,6 +16,7 @@ to about 1 m and 0.4 degrees between the passes of KITTI 00: they take no part i
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
@@ -33,7 +34,7 @@ from segloc.types import Float64, LocalCloud, Pose
 from ..protocols.real import maps, queries, sources
 from ..report import Cell, Table, publish
 from ..script import parser
-from .worlds import EVERY_M, KINDS, SimulatedWorld, views, worlds
+from .worlds import EVERY_M, SimulatedWorld, seeds, simulated, views
 
 FALSE_M, FALSE_DEG = 1.0, 5.0
 """Answers farther off are false: no covariance is meant to cover them."""
@@ -184,7 +185,7 @@ def measured(first_seed: int, each: int, out: Path) -> None:
     config = Config(threads=1)
     rows: list[Row] = []
     names: list[str] = []
-    for world in worlds(first_seed, each, list(KINDS)):
+    for world in itertools.starmap(simulated, seeds(first_seed, each)):
         rows += [(len(names), *found) for found in rows_of(world, config)]
         names.append(world.name)
         np.savez(out, rows=np.array(rows), names=np.array(names))

@@ -100,13 +100,6 @@ class SimulatedWorld:
     queries: dict[str, SimulatedSequence]
 
 
-def worlds(first_seed: int, each: int, chosen: list[str]) -> Iterator[SimulatedWorld]:
-    """Yield ``each`` worlds of every chosen kind, the kinds in turn."""
-    for name, seed in seeds(first_seed, each):
-        if name in chosen:
-            yield simulated(name, seed)
-
-
 def seeds(first_seed: int, each: int) -> Iterator[tuple[str, int]]:
     """Yield kinds in turn with the seeds of their worlds."""
     yield from zip(list(KINDS) * each, count(first_seed), strict=False)

@@ -136,14 +136,11 @@ def bench(
 
     Other software that is not installed is skipped; segloc-lab[bench] installs it.
     """
-    import os
-
     from segloc.system.kernels import instruction_set
     from segloc.tools.cli.console import busy, note, table
-    from segloc.tools.cli.machine import processor
 
     from ..bench import harness, versions
-    from ..report import require_new, write
+    from ..report import machine, require_new, write
 
     require_new(report)
     every = WORKS if against else (*KERNELS, *WORKS)
@@ -151,7 +148,7 @@ def bench(
     plan = Plan(names, _numbers(threads), repeats, data, against)
     with busy("Measuring"):
         kernels = list(plan.kernels())
-    _show(kernels, f"{processor()}, {os.cpu_count()} cores, {instruction_set()}")
+    _show(kernels, f"{machine()}, {instruction_set()}")
     skipped = sorted({name for row in kernels for name in row.skipped})
     if skipped:
         note(f"not installed, so not measured: {', '.join(skipped)}")

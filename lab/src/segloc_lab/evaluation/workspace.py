@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,9 +21,9 @@ from numpy.typing import NDArray
 from segloc import __version__
 from segloc.errors import SeglocError
 from segloc.system.kernels import instruction_set
-from segloc.tools.cli.machine import processor
 
 from ..parallel import in_parallel
+from ..report import machine, version_of
 
 T = TypeVar("T")
 Task = TypeVar("Task")
@@ -88,8 +87,8 @@ class Workspace:
             "threads": self.threads,
             "workers": self.workers,
             "fingerprints": dict(fingerprints),
-            "versions": versions | {name: v for name in packages if (v := _version(name))},
-            "machine": f"{processor()}, {os.cpu_count()} cores, {instruction_set()}",
+            "versions": versions | {name: v for name in packages if (v := version_of(name))},
+            "machine": f"{machine()}, {instruction_set()}",
             "seconds": round(seconds, 1),
         }
 
@@ -235,10 +234,3 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read what :func:`save_arrays` wrote."""
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return dict(file)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
