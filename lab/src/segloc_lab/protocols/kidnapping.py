@@ -55,9 +55,11 @@ from ..simulation import (
     SENSORS,
     Conditions,
     OdometryNoise,
+    SimulatedSequence,
     building,
     simulate_sessions,
 )
+from ..simulation import World as SimulatedWorld
 
 BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
 ALIKE_M = 12.0
@@ -94,6 +96,21 @@ class Kind:
     platform: str | None = None
     storeys: int = 1
     differ: float = 0.0
+
+    def drives(
+        self, world: SimulatedWorld, seed: int, replaced: float, storey: int = 0
+    ) -> list[SimulatedSequence]:
+        """Simulate the drive that is mapped, and a later one with a share of things replaced."""
+        return simulate_sessions(
+            world,
+            SENSORS[self.sensor]().thinned(4 if self.sensor == "hdl64e" else 2),
+            [Conditions(), Conditions(replaced=replaced)],
+            length_m=self.length_m,
+            spacing_m=self.spacing_m,
+            seed=seed,
+            platform=PLATFORMS[self.platform]() if self.platform else None,
+            storey=storey,
+        )
 
 
 KINDS = (
@@ -213,16 +230,7 @@ class World:
 
     def __init__(self, kind: Kind, seed: int, replaced: float = 0.1) -> None:
         self.kind, self.seed = kind, seed
-        sensor = SENSORS[kind.sensor]()
-        mapped, driven = simulate_sessions(
-            SCENES[kind.scene](seed, size_m=kind.size_m),
-            sensor.thinned(4 if kind.sensor == "hdl64e" else 2),
-            [Conditions(), Conditions(replaced=replaced)],
-            length_m=kind.length_m,
-            spacing_m=kind.spacing_m,
-            seed=seed,
-            platform=PLATFORMS[kind.platform]() if kind.platform else None,
-        )
+        mapped, driven = kind.drives(SCENES[kind.scene](seed, size_m=kind.size_m), seed, replaced)
         ends = mapped.indices[[int((1.0 - MAPPED_SHARE) * len(mapped)), -1]].tolist()
         config = Config(threads=1)
         self.mapped = mapped.select(Selection((tuple(ends),)))
@@ -472,26 +480,15 @@ class Building(World):
     def __init__(self, kind: Kind, seed: int, replaced: float = 0.1) -> None:
         self.kind, self.seed = kind, seed
         world = building(seed, size_m=kind.size_m, storeys=kind.storeys, differ=kind.differ)
-        config, maps, drives, truths = Config(threads=1), [], [], []
-        for storey in range(kind.storeys):
-            mapped, driven = simulate_sessions(
-                world,
-                SENSORS[kind.sensor]().thinned(2),
-                [Conditions(), Conditions(replaced=replaced)],
-                length_m=kind.length_m,
-                spacing_m=kind.spacing_m,
-                seed=seed,
-                platform=PLATFORMS[kind.platform or "wheeled"](),
-                storey=storey,
-            )
-            maps.append(build_map(mapped, config))
-            drives.append(Cached(driven))
-            truths.append(driven.truth)
+        config = Config(threads=1)
+        days = [kind.drives(world, seed, replaced, storey) for storey in range(kind.storeys)]
+        maps = [build_map(mapped, config) for mapped, _ in days]
+        drives = [Cached(later) for _, later in days]
         self.localizer = Localizer(functools.reduce(SegmentMap.merge, maps), config)
         self.storeys = [Localizer(each, config) for each in maps]
         self.drive = Joined(drives[0], tuple(drives))
         self._length = min(map(len, drives))
-        self.truths = np.concatenate(truths)
+        self.truths = np.concatenate([later.truth for _, later in days])
 
     def lifted(self, number: int) -> Trial:
         """Return one trial of a robot that rides a lift; reproducible by its number."""

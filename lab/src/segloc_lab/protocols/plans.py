@@ -16,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -147,9 +147,7 @@ class Site:
         start, config = time.process_time(), Config(threads=1)
         if name == SCANS:
             casts = [kept(first, work / "scans") for first, _ in self.drives()]
-            built, *others = (build_map(cast, config) for cast in casts)
-            for other in others:
-                built = built.merge(other)
+            built = reduce(SegmentMap.merge, (build_map(cast, config) for cast in casts))
         else:
             built = from_mesh.build_from_mesh(self.plan(name).triangles, config)
         built.save(path)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -274,10 +274,8 @@ def prior_map(scenario: Scenario, seed: int, work: Path) -> SegmentMap:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         config = Config(threads=1)
-        first, *others = (build_map(drive, config) for drive in scenario.map_drives(seed))
-        for other in others:
-            first = first.merge(other)
-        first.save(path)
+        maps = (build_map(drive, config) for drive in scenario.map_drives(seed))
+        reduce(SegmentMap.merge, maps).save(path)
     return SegmentMap.load(path)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +16,10 @@ from segloc.descriptors.pointset import Judge, PointSetDescriptor
 from segloc.descriptors.profile import ProfileDescriptor
 from segloc.descriptors.random_forest import PairForest
 from segloc.descriptors.segmap import SegMapDescriptor
-from segloc.errors import MissingDependency
 
 from ...evaluation.comparison import QUALITY
 from ...evaluation.workspace import mute
-from ...training.config import TrainConfig
+from ...training.config import TrainConfig, require_torch
 from ...training.grow_forest import ForestConfig, train_forest
 from ...training.shards import INDEX, load_dataset
 from .workspace import Workspace
@@ -131,10 +129,7 @@ def trained(workspace: Workspace, trainings: Sequence[Training]) -> list[Path]:
     """
     missing = [each for each in trainings if not each.out.exists()]
     if any(each.method in NETWORKS for each in missing):
-        try:
-            importlib.import_module("torch")
-        except ImportError as error:
-            raise MissingDependency("torch", "lab", "training") from error
+        require_torch()
     missing.sort(key=_order)  # long ones first: at the end no process waits for another
     list(workspace.each("Training", _train, missing))
     return [each.out for each in trainings]
