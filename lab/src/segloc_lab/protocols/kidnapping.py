@@ -60,6 +60,7 @@ from ..simulation import (
     simulate_sessions,
 )
 from ..simulation import World as SimulatedWorld
+from .follower import taken
 
 BEFORE_M, AFTER_M, AWAY_M, OUTSIDE_M = 40.0, 100.0, 20.0, 20.0
 ALIKE_M = 12.0
@@ -571,18 +572,13 @@ def _loading(old: Localizer, new: Localizer, carried: Carried, T_new_old: Pose |
     clock = np.arange(len(carried)) / RATE_HZ if carried.clock is None else carried.clock
     core, states = LiveCore(old), dict[int, State]()
     for i, stamp in enumerate(clock.tolist()):
-        T_odom_base = carried.poses[i]
+        T_map_odom = core.state.T_map_odom
         if i == carried.first:
-            T_map_odom, core = core.state.T_map_odom, LiveCore(new)
-            core.add_odometry(stamp, T_odom_base)
-            if T_new_old is not None and T_map_odom is not None:
-                core.tracker.suppose(T_new_old @ T_map_odom)
-        else:
-            core.add_odometry(stamp, T_odom_base)
-        core.add_scan(carried.scan(i), stamp)
-        while (pending := core.due()) is not None:
-            core.answer(pending, core.ask(pending))
-        states[i] = core.state
+            core = LiveCore(new)
+        core.add_odometry(stamp, carried.poses[i])
+        if i == carried.first and T_new_old is not None and T_map_odom is not None:
+            core.tracker.suppose(T_new_old @ T_map_odom)
+        states[i], *_ = taken(core, stamp, carried.scan(i).points, None)
     return Replay(states, np.empty(0), np.empty(0), len(states), 0)
 
 
