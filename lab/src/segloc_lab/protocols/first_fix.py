@@ -10,7 +10,6 @@ things replaced. Robots are switched on at random places of that drive from whic
 from __future__ import annotations
 
 import itertools
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from segloc import geometry
 
 from ..report import Cell, Table, publish, share
 from ..runner import Entry, Runner
-from .kidnapping import Kind, World
+from .kidnapping import Kind, world_of
 
 KINDS = (
     Kind("offices", "os1-64", 80.0, 220.0, 0.5, "wheeled"),
@@ -31,16 +30,10 @@ KINDS = (
 FOLLOWED_M, COVERED_M, SOON_M = 30.0, 5.0, 15.0
 
 
-@lru_cache(maxsize=1)
-def world_of(seed: int) -> World:
-    """Make the world of a seed; the last one is kept."""
-    return World(KINDS[seed % len(KINDS)], seed)
-
-
 def switched_on(task: tuple[int, int]) -> Entry | None:
     """Switch a robot on, and follow it; None if the drive does not meet the map."""
     seed, number = task
-    world = world_of(seed)
+    world = world_of(KINDS, seed)
     rng = np.random.default_rng([seed, number])
     drive = world.from_anywhere(FOLLOWED_M, COVERED_M, rng)
     if drive is None:
