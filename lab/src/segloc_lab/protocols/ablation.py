@@ -22,7 +22,7 @@ from segloc.proposals import Query
 from segloc.tools.batch import Evaluation
 from segloc.types import Candidate, Float64, Matches, Pose, Recording
 
-from ..evaluation.comparison import build_maps, shared_config
+from ..evaluation.comparison import build_maps, shared_config, with_map_cloud
 from ..recordings import Unposed
 from ..report import Cell, Table, publish, reporting, share
 from ..simulation import SCENES, Conditions, Route, World, os1_64, simulate_session
@@ -109,13 +109,7 @@ def localizers(
                 proposers=first.proposers[:count],
                 likelihood=first.likelihood,
             )
-    found[NO_MATCHES, PROPOSERS[-1]] = Localizer(
-        first.prior_map,
-        first.config,
-        estimator=NoMatches(),
-        proposers=first.proposers,
-        likelihood=first.likelihood,
-    )
+    found[NO_MATCHES, PROPOSERS[-1]] = with_map_cloud(first, first, NoMatches())
     return found
 
 
