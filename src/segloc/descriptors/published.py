@@ -11,6 +11,8 @@ from .pointset import Judge, PointSetDescriptor
 from .weightfile import shipped_weights
 
 _JUDGES: Mapping[str, Judge] = {"": "none", "-fq": "pair", "-nq": "nearest"}
+"""By suffix, what orders matches: their distances; FC4, which also prunes them, by probability; a
+fitted quality of each descriptor."""
 
 
 def _create(

@@ -172,9 +172,9 @@ class SegmentMap:
         ----------
         points : (N, >=3) array of any float dtype, or iterable of such arrays
             In the map frame [m], z up; UTM coordinates as float64. With ``mapping.level`` in the
-            configuration the cloud is turned so that z is up, by its floors and walls;
-            ``metadata["T_map_cloud"]`` has the transform. Points that are not finite, exactly zero,
-            or more than 100 km from the others are left out.
+            configuration the cloud is turned so that z is up, by its walls, its floors or the lie
+            of the land; ``metadata["T_map_cloud"]`` has the transform. Points that are not finite,
+            exactly zero, or more than 100 km from the others are left out.
         config : Config, optional
             By default that of the default method.
         trajectory : (V, 4, 4) array, optional
