@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from samples.plaza import Plaza
-from samples.ros_drive import Listener, on_tf_static
+from samples.ros_drive import Listener
+from samples.streams import off_m
 from segloc_autoware.core import aligned, prior_of
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import diagnose
@@ -18,8 +19,7 @@ from segloc import Localizer, geometry
 def test_it_answers_near_the_request_or_fails(
     localizer: Localizer, plaza: Plaza, x: float, expected: bool
 ) -> None:
-    listener = Listener.of(localizer, mode="initialpose", trigger="service", click_s=2.0)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, mode="initialpose", trigger="service", click_s=2.0)
     listener.walk(plaza, 1)
     robot = listener.robot
     request = Click("/map", geometry.yaw_transform(0.0, (x, 3.0, 0.0)), np.eye(6))
@@ -29,7 +29,7 @@ def test_it_answers_near_the_request_or_fails(
     assert (pose is not None, reliable) == (expected, expected)
     assert robot.trigger.resting  # found or given up
     if pose is not None:
-        assert np.linalg.norm((geometry.inverse(truth) @ pose.T_map_base)[:3, 3]) < 0.3
+        assert off_m(pose.T_map_base, truth) < 0.3
     else:
         assert "at rest" in diagnose(robot).message
 

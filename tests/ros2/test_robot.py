@@ -17,13 +17,12 @@ from samples.plaza import Plaza
 from samples.ros_drive import (
     LIDAR,
     MOUNT,
-    T_MAP_ODOM,
     Listener,
     cloud_of,
     livox_of,
     on_tf_static,
 )
-from samples.streams import walked
+from samples.streams import T_MAP_ODOM, Event, off_m, walked
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
 from segloc_ros.core.frames import Transform
@@ -44,18 +43,13 @@ from segloc.types import Pose
 HERE = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
 
 
-def off(T: Pose, truth: Pose) -> float:
-    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
-
-
 def test_a_drive_gives_poses_of_the_base_and_map_to_odom(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     truth = listener.walk(plaza, 6)
     poses, transforms = listener.of_kind(PoseReply), listener.of_kind(MapToOdom)
-    assert off(poses[-1].T_map_base, truth) < 0.3 and poses[-1].frame == "map"
+    assert off_m(poses[-1].T_map_base, truth) < 0.3 and poses[-1].frame == "map"
     last = transforms[-1].transform
     assert (last.parent, last.child) == ("map", "odom")
     assert np.allclose(last.T_parent_child, T_MAP_ODOM, atol=0.3)
@@ -72,8 +66,7 @@ def test_a_drive_gives_poses_of_the_base_and_map_to_odom(
 def test_poses_for_a_tracker_leave_room_and_those_beside_do_not(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, initialpose_least_m=0.5, initialpose_least_deg=10.0)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, initialpose_least_m=0.5, initialpose_least_deg=10.0)
     listener.walk(plaza, 2)
     (told,) = listener.of_kind(InitialPose)
     metres, radians = np.sqrt(np.diag(told.pose.covariance))[[0, 5]]
@@ -83,8 +76,7 @@ def test_poses_for_a_tracker_leave_room_and_those_beside_do_not(
 
 def test_covariances_are_in_ros_order_and_axes(localizer: Localizer, plaza: Plaza) -> None:
     """Poses are drawn as the state says, by motions in the base; their spread is what is told."""
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     listener.walk(plaza, 3)
     told, state = listener.of_kind(PoseReply)[-1], listener.robot.state
     rng = np.random.default_rng(0)
@@ -110,13 +102,13 @@ def test_nothing_is_told_while_it_is_not_known_where_the_lidar_is(
     assert told.message.startswith("no transform base_link -> os_sensor in tf: publish it on")
     on_tf_static(listener.robot)
     truth = listener.walk(plaza, 3, start_s=103.0, begin=(-8.0, 1.3))
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
 
 
 def test_a_mount_by_parameter_needs_no_tf(localizer: Localizer, plaza: Plaza) -> None:
     listener = Listener.of(localizer, base_to_lidar=[1.5, 0.2, 0.3, 0.0, 0.0, 0.7])
     truth = listener.walk(plaza, 2)
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
     with pytest.raises(ConfigError, match="base_to_lidar"):
         Listener.of(base_to_lidar=[1.0, 2.0])
 
@@ -129,20 +121,18 @@ def test_a_mount_that_changes_begins_anew(localizer: Localizer, plaza: Plaza) ->
     on_tf_static(listener.robot, MOUNT)
     truth = listener.walk(plaza, 3, start_s=102.0, begin=(-10.0, 1.2))
     assert listener.robot.core is not core
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
 
 
 def test_modes_tell_only_what_was_asked_for(localizer: Localizer, plaza: Plaza) -> None:
     for mode, silent in (("initialpose", MapToOdom), ("tf", InitialPose)):
-        listener = Listener.of(localizer, mode=mode)
-        on_tf_static(listener.robot)
+        listener = Listener.mounted(localizer, mode=mode)
         listener.walk(plaza, 2)
         assert not listener.of_kind(silent) and listener.of_kind(PoseReply)
 
 
 def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer, trigger="until_localized")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, trigger="until_localized")
     listener.walk(plaza, 1)
     assert listener.robot.trigger.resting and len(listener.of_kind(InitialPose)) == 1
     queries = listener.robot.last
@@ -154,7 +144,7 @@ def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Pl
     # An odometry that begins anew wakes it.
     T = geometry.inverse(geometry.yaw_transform(-2.0, (9.0, 80.0, 1.0)))
     truth = listener.walk(plaza, 3, start_s=106.0, begin=(-2.0, 1.6), T_map_odom=T)
-    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 7.0
+    assert off_m(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 7.0
     assert listener.robot.trigger.resting and listener.robot.fixes == 2
 
 
@@ -162,8 +152,7 @@ def test_until_localized_it_works_and_then_rests(localizer: Localizer, plaza: Pl
 def test_an_update_without_motion_checks_the_pose_and_keeps_it(
     localizer: Localizer, plaza: Plaza, trigger: str
 ) -> None:
-    listener = Listener.of(localizer, trigger=trigger, mode="initialpose", query_every_s=100.0)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, trigger=trigger, mode="initialpose", query_every_s=100.0)
     listener.walk(plaza, 3, step=0.0)
     rests, last = listener.robot.trigger.resting, listener.robot.last
     listener.walk(plaza, 2, start_s=103.0, step=0.0)
@@ -173,7 +162,7 @@ def test_an_update_without_motion_checks_the_pose_and_keeps_it(
     truth = listener.walk(plaza, 3, start_s=105.0, step=0.0)
     assert listener.robot.last is not last and listener.robot.fixes == 1
     assert not listener.of_kind(InitialPose)  # it was right
-    assert all(off(reply.T_map_base, truth) < 0.3 for reply in listener.of_kind(PoseReply))
+    assert all(off_m(reply.T_map_base, truth) < 0.3 for reply in listener.of_kind(PoseReply))
     assert listener.robot.trigger.resting == rests and robot_state(listener.robot, True).localized
     last = listener.robot.last
     listener.walk(plaza, 2, start_s=108.0, step=0.0)
@@ -183,8 +172,7 @@ def test_an_update_without_motion_checks_the_pose_and_keeps_it(
 def test_an_update_of_a_robot_that_rests_without_a_pose_is_ignored(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, trigger="service")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, trigger="service")
     listener.robot.request_update()
     listener.walk(plaza, 2)
     assert listener.robot.last is None and listener.robot.trigger.resting
@@ -194,8 +182,7 @@ def test_an_update_of_a_robot_that_rests_without_a_pose_is_ignored(
 def test_a_lost_robot_drops_or_keeps_map_to_odom_and_its_state_tells_which(
     localizer: Localizer, plaza: Plaza, kept: str
 ) -> None:
-    listener = Listener.of(localizer, tf_when_lost=kept, mode="tf")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, tf_when_lost=kept, mode="tf")
     listener.walk(plaza, 3)
     assert robot_state(listener.robot, True).map_to_odom is TfState.CURRENT
     listener.robot.relocalize()
@@ -239,8 +226,7 @@ def test_the_state_for_programs(localizer: Localizer, plaza: Plaza) -> None:
 
 
 def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer, trigger="service")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, trigger="service")
     listener.walk(plaza, 2)
     assert not listener.said and diagnose(listener.robot).message == "at rest: call ~/relocalize"
     fixes = listener.robot.relocalize()
@@ -252,8 +238,7 @@ def test_by_service_it_looks_only_when_called(localizer: Localizer, plaza: Plaza
 
 
 def test_a_cloud_without_odometry_has_no_pose(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     listener.walk(plaza, 2)
     assert listener.of_kind(PoseReply)
     listener.clear()
@@ -265,14 +250,13 @@ def test_a_cloud_without_odometry_has_no_pose(localizer: Localizer, plaza: Plaza
 
 @pytest.mark.slow
 def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     listener.walk(plaza, 8)
     carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
     truth = listener.walk(plaza, 20, begin=(2.0, 1.0), start_s=108.0, carried=carried, step=1.0)
     first, *_, last = listener.of_kind(InitialPose)
-    assert first is not last and off(last.pose.T_map_base, truth) < 25.0
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.5
+    assert first is not last and off_m(last.pose.T_map_base, truth) < 25.0
+    assert listener.off(truth) < 0.5
 
 
 def fix(xyz: tuple[float, float, float], sigma_m: float) -> Any:
@@ -291,8 +275,7 @@ def test_gnss_says_where_to_search_first_and_a_wrong_fix_is_survived(
 ) -> None:
     pytest.importorskip("pyproj")
     for position, begin in (((-14.0, 1.0, 0.0), -14.0), ((16.0, 4.0, 0.0), -14.0)):
-        listener = Listener.of(localizer, fix_topic="fix", mode="initialpose", matches=False)
-        on_tf_static(listener.robot)
+        listener = Listener.mounted(localizer, fix_topic="fix", mode="initialpose", matches=False)
         listener.robot.on_fix(fix(position, 1.0))
         listener.walk(plaza, 1, begin=(begin, 1.0))
         assert "missing fix" in diagnose(listener.robot).values  # the map has no georeference
@@ -304,17 +287,16 @@ def test_gnss_says_where_to_search_first_and_a_wrong_fix_is_survived(
         finally:
             del localizer.prior_map.metadata[KEY]
         assert "missing fix" not in diagnose(listener.robot).values
-        assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+        assert listener.off(truth) < 0.3
         places = listener.of_kind(CandidatesReply)[-1].places
-        assert off(places[0][0], truth) < 1.0 and places[0][1] > 0.9
+        assert off_m(places[0][0], truth) < 1.0 and places[0][1] > 0.9
         assert float(diagnose(listener.robot).values["candidates"].split()[0]) > 0.9
 
 
 def test_a_height_in_the_map_tells_storeys_apart(localizer: Localizer, plaza: Plaza) -> None:
     up = geometry.yaw_transform(0.0, (0.0, 0.0, 30.0))
     storeys = Localizer(repeated(localizer.prior_map, up[:3, 3]))
-    listener = Listener.of(storeys, height_topic="height", height_sigma_m=0.3)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(storeys, height_topic="height", height_sigma_m=0.3)
     assert listener.robot.on_height(99.0, "map", 1.5, 0.0) == []  # no clouds yet
     listener.walk(plaza, 2, carried=up)
     assert listener.robot.T_map_odom is None
@@ -322,7 +304,7 @@ def test_a_height_in_the_map_tells_storeys_apart(localizer: Localizer, plaza: Pl
         listener.hear(listener.robot.on_height(102.0 + k, "/map", 31.5, 0.25 * (k > 0)))
         at = {"start_s": 102.0 + k, "begin": (-10.0 + 2 * k, 1.2)}
         truth = listener.walk(plaza, 1, carried=up, **at)
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
     for frame, metres, variance in (
         ("odom", 1.5, 0.1), ("", 1.5, 0.1), ("map", np.nan, 0.1), ("map", 1.5, -1.0),
         ("map", 1.5, np.nan), ("map", 1.5, np.inf),
@@ -335,8 +317,7 @@ def test_a_height_in_the_map_tells_storeys_apart(localizer: Localizer, plaza: Pl
 def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, mode="initialpose", click_topic="/initialpose")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, mode="initialpose", click_topic="/initialpose")
     listener.walk(plaza, 2)
     (first,) = listener.of_kind(InitialPose)
     told = Click("map", first.pose.T_map_base, first.pose.covariance)
@@ -345,15 +326,14 @@ def test_a_click_is_refined_and_its_echo_is_not_taken_for_another(
     assert listener.robot.on_click(Click("/map", near, np.eye(6))) == ""
     assert listener.robot.T_map_odom is None
     truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
-    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
+    assert off_m(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
     assert "odom" in listener.robot.on_click(Click("odom", near, np.eye(6)))
 
 
 def test_a_click_elsewhere_finds_nothing_there_and_then_anything(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, click_s=3.0, click_radius_m=5.0)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, click_s=3.0, click_radius_m=5.0)
     listener.walk(plaza, 2)
     far = geometry.yaw_transform(0.0, (500.0, 0.0, 0.0))
     listener.robot.on_click(Click("map", far, np.zeros((6, 6))))
@@ -374,8 +354,7 @@ def test_the_radius_of_a_prior_follows_its_covariance() -> None:
 
 
 def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of()
-    on_tf_static(listener.robot)
+    listener = Listener.mounted()
     listener.robot.maps.fault = "no map: site.segmap: No such file or directory"
     listener.walk(plaza, 2)
     assert listener.said == [] and diagnose(listener.robot).level is Level.ERROR
@@ -397,8 +376,7 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
 def test_memory_is_flat_after_a_cloud_of_5_million_points(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     truth = listener.walk(plaza, 6)
     before_mb = resident_mb()
     rng = np.random.default_rng(0)
@@ -421,22 +399,20 @@ def resident_mb() -> float:
 def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, trigger="until_localized", click_radius_m=5.0)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, trigger="until_localized", click_radius_m=5.0)
     listener.walk(plaza, 2)
     listener.robot.switch(localizer, np.eye(4))
     assert listener.robot.T_map_odom is None
     listener.clear()
     truth = listener.walk(plaza, 1, start_s=102.0, begin=(-10.0, 1.2))
-    assert off(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
+    assert off_m(listener.of_kind(InitialPose)[-1].pose.T_map_base, truth) < 0.3
     assert listener.robot.trigger.resting
 
 
 def test_an_answer_in_a_map_that_was_replaced_is_passed_over(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer, click_topic="")
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, click_topic="")
     due, requests = listener.robot.due, []
     listener.robot.due = lambda: requests.append(due()) or None  # nobody makes them
     listener.walk(plaza, 1)
@@ -449,8 +425,7 @@ def test_an_answer_in_a_map_that_was_replaced_is_passed_over(
 def test_clouds_that_cannot_be_used_and_late_ones_end_nothing(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     listener.walk(plaza, 3)
     cloud = cloud_of(np.ones((50, 3)))
     cloud.fields = cloud.fields[:2]
@@ -459,15 +434,14 @@ def test_clouds_that_cannot_be_used_and_late_ones_end_nothing(
     listener.cloud(101.5, np.ones((50, 3)))
     assert listener.robot.core.dropped == 1
     truth = listener.walk(plaza, 2, start_s=103.0, begin=(-8.0, 1.3))
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
     assert diagnose(listener.robot).message == "localized"
 
 
 def test_clouds_of_two_lidars_on_one_topic_are_not_mixed(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     on_tf_static(listener.robot, np.eye(4), "rear")
     listener.walk(plaza, 2)
     core = listener.robot.core
@@ -483,8 +457,7 @@ def test_clouds_of_two_lidars_are_merged_by_mounts_and_stamps(
 ) -> None:
     """Each sees half of the surroundings, the rear one 50 ms later; at last it falls silent."""
     rear = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
-    listener = Listener.of(localizer, more_points_topics=["rear"])
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, more_points_topics=["rear"])
     on_tf_static(listener.robot, rear, "rear_lidar")
     lidar_base = geometry.inverse(MOUNT)
     for k, (events, T_map_lidar) in enumerate(walked(plaza, 8, every_s=0.5)):
@@ -501,7 +474,7 @@ def test_clouds_of_two_lidars_are_merged_by_mounts_and_stamps(
             listener.cloud(main.stamp + 0.05, halves[1], "rear_lidar", "rear")
         listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
         if k == 5:
-            error = off(listener.of_kind(PoseReply)[-1].T_map_base, truth)
+            error = listener.off(truth)
     assert error < 0.3 and listener.robot.core.scans == 7  # the last one still waits
     assert "no clouds of rear" in diagnose(listener.robot).message
 
@@ -517,8 +490,7 @@ def test_silence_is_said(
     clock = SimpleNamespace(now=10.0, perf_counter=time.perf_counter)
     clock.monotonic = lambda: clock.now
     monkeypatch.setattr("segloc_ros.core.robot.time", clock)
-    listener = Listener.of(localizer, silent_s=1.5)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, silent_s=1.5)
     listener.walk(plaza, 3)
     listener.robot.report_silence()
     assert diagnose(listener.robot).message == "localized"
@@ -535,8 +507,7 @@ def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
 ) -> None:
     """Odometry steps by 1 m, too little to be noticed as a jump: the correction takes seconds."""
     rate = {"smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0, "mode": "tf"}
-    listener = Listener.of(localizer, smooth_tf=True, **rate)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer, smooth_tf=True, **rate)
     listener.walk(plaza, 3, step=0.5)
     listener.clear()
     slipped = T_MAP_ODOM @ geometry.yaw_transform(0.0, (0.7, 0.0, 0.0))
@@ -546,7 +517,7 @@ def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
         moved = np.linalg.norm((b.T_parent_child - a.T_parent_child)[:3, 3])
         assert moved < 0.1 * (b.stamp - a.stamp) + 0.05
     pose = listener.of_kind(PoseReply)[-1]
-    error = off(pose.T_map_base, truth)
+    error = off_m(pose.T_map_base, truth)
     assert (
         0.1 < error < 0.8 and np.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1]) > 0.5 * error
     )
@@ -554,18 +525,16 @@ def test_a_smooth_transform_agrees_with_the_pose_and_its_covariance_says_so(
 
 def registered(plaza: Plaza, listener: Listener, frame: str, count: int = 6) -> Pose:
     """Walk with clouds in the odometry's frame, as FAST-LIO's /cloud_registered; the true pose."""
-    lidar_base = geometry.inverse(MOUNT)
-    for events, T_map_lidar in walked(plaza, count):
-        for event in events:
-            if event.scan is None:
-                T = event.T_odom_base @ lidar_base
-                listener.transforms([Transform(event.stamp, "odom", "base_link", T)])
-                listener.odometry(event.stamp, T)
-            else:
-                T_odom_lidar = geometry.inverse(T_MAP_ODOM) @ T_map_lidar
-                points = geometry.transform(T_odom_lidar, event.scan.points)
-                listener.cloud(event.stamp, points, frame)
-    return T_map_lidar @ lidar_base
+
+    def odometry(stamp: float, T: Pose) -> None:
+        listener.transforms([Transform(stamp, "odom", "base_link", T)])
+        listener.odometry(stamp, T)
+
+    def cloud(event: Event, T_map_lidar: Pose) -> None:
+        T_odom_lidar = geometry.inverse(T_MAP_ODOM) @ T_map_lidar
+        listener.cloud(event.stamp, geometry.transform(T_odom_lidar, event.scan.points), frame)
+
+    return listener.walk(plaza, count, odometry=odometry, cloud=cloud)
 
 
 @pytest.mark.parametrize("parameters", [{}, {"base_to_lidar": [0.0] * 6}, {"odometry": "tf"}])
@@ -583,15 +552,14 @@ def test_clouds_in_the_odometrys_frame_are_named_and_give_no_pose(
 def test_clouds_that_stand_still_under_a_sensors_name_end_the_localization(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     registered(plaza, listener, LIDAR, count=8)
     told = diagnose(listener.robot)
     assert "clouds stand still while the odometry moves" in told.message
     assert listener.robot.T_map_odom is None and "refused: world frame" in told.values
     listener.clear()
     truth = listener.walk(plaza, 4, start_s=108.0, begin=(-12.0, 1.0))
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
 
 
 def test_a_mount_on_tf_counts_once_the_robot_drove_and_ends_the_localization_if_it_moves(
@@ -615,7 +583,7 @@ def test_a_mount_on_tf_counts_once_the_robot_drove_and_ends_the_localization_if_
     assert not listener.said
     assert "base_link -> os_sensor is on /tf, so it may move" in diagnose(listener.robot).message
     truth = walk(4, 101.0, (-12.0, 1.1))
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
     assert diagnose(listener.robot).message == "localized"
     listener.clear()
     joint = MOUNT @ geometry.yaw_transform(0.0, (0.03, 0.0, 0.0))
@@ -629,8 +597,7 @@ def test_a_mount_on_tf_counts_once_the_robot_drove_and_ends_the_localization_if_
 def test_an_odometry_whose_z_axis_is_not_up_is_named(localizer: Localizer, plaza: Plaza) -> None:
     """Of a level base with z down and with a camera's axes; and with both frames z down."""
     for degrees in ((180.0, 0.0, 0.0), (90.0, 0.0, 90.0)):
-        listener = Listener.of(localizer)
-        on_tf_static(listener.robot)
+        listener = Listener.mounted(localizer)
         turned = T_MAP_ODOM @ geometry.rigid(rotation(*degrees), np.zeros(3))
         listener.walk(plaza, 3, T_map_odom=turned)
         assert "the z axis of odom is not up" in diagnose(listener.robot).message
@@ -638,13 +605,8 @@ def test_an_odometry_whose_z_axis_is_not_up_is_named(localizer: Localizer, plaza
     flip = geometry.rigid(rotation(180.0, 0.0, 0.0), np.zeros(3))
     listener = Listener.of(localizer)
     on_tf_static(listener.robot, flip @ MOUNT)
-    for events, _ in walked(plaza, 6, T_map_odom=T_MAP_ODOM @ flip):
-        for event in events:
-            if event.scan is None:
-                T = event.T_odom_base @ geometry.inverse(MOUNT) @ flip
-                listener.odometry(event.stamp, T)
-            else:
-                listener.cloud(event.stamp, event.scan.points)
+    flipped = {"odometry": lambda stamp, T: listener.odometry(stamp, T @ flip)}
+    listener.walk(plaza, 6, T_map_odom=T_MAP_ODOM @ flip, **flipped)
     told = diagnose(listener.robot)
     assert not listener.of_kind(PoseReply)
     assert "in the odometry's axes the ground lies towards +z" in told.message
@@ -653,8 +615,7 @@ def test_an_odometry_whose_z_axis_is_not_up_is_named(localizer: Localizer, plaza
 def test_clouds_without_points_are_no_scans_and_are_counted(
     localizer: Localizer, plaza: Plaza
 ) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
+    listener = Listener.mounted(localizer)
     listener.walk(plaza, 3)
     scans = listener.robot.core.scans
     for k, points in enumerate((np.full((9, 3), np.nan), np.zeros((9, 3)), np.empty((0, 3)))):
@@ -666,46 +627,44 @@ def test_clouds_without_points_are_no_scans_and_are_counted(
     assert float(told.values["cloud_age_s"]) < 60.0
 
 
-def test_point_times_of_any_unit_are_recognised(localizer: Localizer, plaza: Plaza) -> None:
-    """A turn of 0.1 s as nanoseconds, seconds since 1970 and fractions; motion is undone alike."""
-    lidar_base = geometry.inverse(MOUNT)
-    for kind, convert in (
+@pytest.mark.parametrize(
+    ("kind", "convert"),
+    [
         ("f8", lambda turn, stamp: stamp + 0.1 * turn),
         ("f4", lambda turn, stamp: turn),
         ("f4", lambda turn, stamp: 1e8 * turn),
         ("u4", lambda turn, stamp: 1e8 * turn),
-    ):
-        listener = Listener.of(localizer)
-        on_tf_static(listener.robot)
-        for events, T_map_lidar in walked(plaza, 25, start_s=1.75e9, every_s=0.1, step=0.3):
-            before, main, behind = events
-            listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
-            turn = np.linspace(0.0, 1.0, len(main.scan.points))
-            times = convert(turn, main.stamp)
-            ahead = np.outer(3.0 * 0.1 * turn, T_map_lidar[0, :3])  # it drives along x of the map
-            cloud = cloud_of(main.scan.points - ahead, ("time", kind, times))
-            listener.hear(listener.robot.on_cloud(cloud, main.stamp, LIDAR))
-            listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
-        pose = listener.of_kind(PoseReply)[-1]
-        truth = T_map_lidar @ lidar_base
-        assert off(pose.T_map_base, truth) < 0.4, listener.robot.time_notes
-        assert diagnose(listener.robot).message == "localized"
+    ],
+)
+def test_point_times_of_any_unit_are_recognised(
+    localizer: Localizer, plaza: Plaza, kind: str, convert: Any
+) -> None:
+    """A turn of 0.1 s as nanoseconds, seconds since 1970 and fractions; motion is undone alike."""
+    listener = Listener.mounted(localizer)
+
+    def timed(event: Event, T_map_lidar: Pose) -> None:
+        turn = np.linspace(0.0, 1.0, len(event.scan.points))
+        ahead = np.outer(3.0 * 0.1 * turn, T_map_lidar[0, :3])  # it drives along x of the map
+        cloud = cloud_of(event.scan.points - ahead, ("time", kind, convert(turn, event.stamp)))
+        listener.hear(listener.robot.on_cloud(cloud, event.stamp, LIDAR))
+
+    truth = listener.walk(plaza, 25, cloud=timed, start_s=1.75e9, every_s=0.1, step=0.3)
+    assert listener.off(truth) < 0.4, listener.robot.time_notes
+    assert diagnose(listener.robot).message == "localized"
 
 
 def test_livox_messages_are_read_from_their_bytes(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.of(localizer)
-    on_tf_static(listener.robot)
-    lidar_base = geometry.inverse(MOUNT)
-    for events, T_map_lidar in walked(plaza, 6, step=0.1):
-        truth, (before, main, behind) = T_map_lidar @ lidar_base, events
-        listener.odometry(before.stamp, before.T_odom_base @ lidar_base)
-        listener.hear(listener.robot.on_livox(livox_of(main.scan.points, main.stamp)))
-        listener.odometry(behind.stamp, behind.T_odom_base @ lidar_base)
+    listener = Listener.mounted(localizer)
+
+    def livox(event: Event, _: Pose) -> None:
+        listener.hear(listener.robot.on_livox(livox_of(event.scan.points, event.stamp)))
+
+    truth = listener.walk(plaza, 6, cloud=livox, step=0.1)
     told = diagnose(listener.robot)
     assert told.message == "localized" and told.values["scans"] == "6"
-    assert off(listener.of_kind(PoseReply)[-1].T_map_base, truth) < 0.3
+    assert listener.off(truth) < 0.3
     assert not told.values.get("point times")  # in seconds after the stamp
-    for data in (livox_of(main.scan.points, 107.0)[:500], b"\0\1\0\0", b""):
+    for data in (livox_of(plaza.points, 107.0)[:500], b"\0\1\0\0", b""):
         assert listener.robot.on_livox(data) == []
     told = diagnose(listener.robot)
     assert told.values["refused: unreadable"] == "3" and "cloud refused" in told.message
@@ -719,8 +678,7 @@ def test_points_on_the_robot_are_dropped_by_the_box_of_the_map(
     masking = Localizer(localizer.prior_map, config)
     poses = []
     for used, change in ((localizer, beside), (masking, lambda points: with_mast(beside(points)))):
-        listener = Listener.of(used, odometry="kiss-icp")
-        on_tf_static(listener.robot)
+        listener = Listener.mounted(used, odometry="kiss-icp")
         for events, _ in walked(plaza, 5, step=0.5, every_s=0.1):
             for event in events:
                 if event.scan is not None:

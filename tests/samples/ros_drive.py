@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -11,12 +12,13 @@ from typing import Any
 import numpy as np
 from segloc_ros.core import Reply, Robot, Settings
 from segloc_ros.core.frames import Transform
+from segloc_ros.core.replies import PoseReply
 
 from segloc import Localizer, geometry
 from segloc.types import Float64, Pose
 
 from .plaza import Plaza
-from .streams import T_MAP_ODOM, walked
+from .streams import Event, off_m, walked
 
 MOUNT = geometry.yaw_transform(0.7, (1.5, 0.2, 0.3))
 BASE, LIDAR, ODOM = "base_link", "os_sensor", "odom"
@@ -73,6 +75,13 @@ class Listener:
             robot.use(localizer)
         return cls(robot)
 
+    @classmethod
+    def mounted(cls, localizer: Localizer | None = None, **parameters: Any) -> Listener:
+        """One that knows where its LiDAR is."""
+        listener = cls.of(localizer, **parameters)
+        on_tf_static(listener.robot)
+        return listener
+
     def odometry(self, stamp: float, T_odom_base: Pose, frame: str = ODOM) -> None:
         self.hear(self.robot.on_odometry(stamp, frame, BASE, T_odom_base))
 
@@ -84,17 +93,35 @@ class Listener:
     ) -> None:
         self.hear(self.robot.on_cloud(cloud_of(points), stamp, frame, topic))
 
-    def walk(self, plaza: Plaza, count: int, T_base_lidar: Pose = MOUNT, **options: Any) -> Pose:
-        """Walk as :func:`samples.streams.walked`; the true pose of the base at the end."""
-        lidar_base, truth = geometry.inverse(T_base_lidar), np.eye(4)
+    def walk(
+        self,
+        plaza: Plaza,
+        count: int,
+        *,
+        odometry: Callable[[float, Pose], object] | None = None,
+        cloud: Callable[[Event, Pose], object] | None = None,
+        **options: Any,
+    ) -> Pose:
+        """Walk as :func:`samples.streams.walked`; the true pose of the base at the end.
+
+        ``odometry`` takes a stamp and T_odom_base, ``cloud`` a scan and T_map_lidar: by default
+        they are told as they are.
+        """
+        lidar_base, truth = geometry.inverse(MOUNT), np.eye(4)
         for events, T_map_lidar in walked(plaza, count, **options):
             truth = T_map_lidar @ lidar_base
             for event in events:
                 if event.scan is None:
-                    self.odometry(event.stamp, event.T_odom_base @ lidar_base)
+                    (odometry or self.odometry)(event.stamp, event.T_odom_base @ lidar_base)
+                elif cloud is not None:
+                    cloud(event, T_map_lidar)
                 else:
                     self.cloud(event.stamp, event.scan.points)
         return truth
+
+    def off(self, truth: Pose) -> float:
+        """How far the newest pose of the base is off [m]."""
+        return off_m(self.of_kind(PoseReply)[-1].T_map_base, truth)
 
     def of_kind(self, kind: type[Any]) -> list[Any]:
         return [reply for reply in self.said if isinstance(reply, kind)]
@@ -107,16 +134,3 @@ class Listener:
         self.said += replies
         while (request := self.robot.due()) is not None:
             self.said += self.robot.answer(request, self.robot.ask(request))
-
-
-__all__ = [
-    "BASE",
-    "LIDAR",
-    "MOUNT",
-    "ODOM",
-    "T_MAP_ODOM",
-    "Listener",
-    "cloud_of",
-    "livox_of",
-    "on_tf_static",
-]

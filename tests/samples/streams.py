@@ -80,8 +80,11 @@ def feed(core: LiveCore, events: list[Event]) -> list[State]:
     return states
 
 
+def off_m(T: Pose, truth: Pose) -> float:
+    """How far a pose is off."""
+    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
+
+
 def error_m(state: State, truth: Float64) -> float:
     """How far a state's pose is off; infinite where it has none."""
-    if state.T_map_base is None:
-        return float("inf")
-    return float(np.linalg.norm((geometry.inverse(truth) @ state.T_map_base)[:3, 3]))
+    return float("inf") if state.T_map_base is None else off_m(state.T_map_base, truth)
