@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 import yaml
 from samples.plaza import Plaza, PlazaSequence, RingSequence
-from samples.streams import walked
+from samples.streams import T_MAP_ODOM, off_m, walked
 
 from segloc import Config, Scan, SegmentMap, build_map, geometry
 from segloc.map.georeference import KEY, Georeference
@@ -33,7 +34,6 @@ from rclpy.parameter import Parameter  # noqa: E402
 from samples.ros_peer import (  # noqa: E402
     LATCHED,
     MOUNT,
-    T_MAP_ODOM,
     Peer,
     processor_s,
     resident_mb,
@@ -88,14 +88,24 @@ def peer(plaza: Plaza) -> Iterator[Peer]:
     rclpy.shutdown()
 
 
-def off(T: Pose, truth: Pose) -> float:
-    return float(np.linalg.norm((geometry.inverse(truth) @ T)[:3, 3]))
+@contextmanager
+def at_work(
+    peer: Peer, log: Path, prior_map: Path, *remaps: str, **parameters: Any
+) -> Iterator[subprocess.Popen[bytes]]:
+    """The node with its map, told where the LiDAR is."""
+    peer.clear()
+    with running(NODE, log, *remaps, map=str(prior_map), **parameters) as node:
+        peer.ready(odometry=parameters.get("odometry") != "kiss-icp")
+        peer.tell_mount()
+        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+        peer.spin(1.0)
+        yield node
 
 
 def localized(peer: Peer, truth: Pose, metres: float = 0.5) -> bool:
     """Whether the newest pose is of the newest cloud, and right."""
     peer.until(lambda: peer.heard["pose"] and peer.newest("pose")[0] >= peer.now - 1e-6, WAIT_S)
-    return off(peer.newest("pose")[1], truth) < metres
+    return off_m(peer.newest("pose")[1], truth) < metres
 
 
 def test_a_day_of_a_robot(peer: Peer, maps: Path, tmp_path: Path) -> None:
@@ -169,12 +179,7 @@ def test_the_map_is_damaged_and_the_clock_jumps(peer: Peer, maps: Path, tmp_path
         (tmp_path / "part").replace(used)
 
     replace(site)
-    peer.clear()
-    with running(NODE, tmp_path / "log", map=str(used), **PARAMETERS):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", used, **PARAMETERS):
         truth = peer.walk(4, step=1.0)
         assert localized(peer, truth), peer.said
         replace(site[: len(site) // 2])
@@ -195,19 +200,14 @@ def test_the_map_is_damaged_and_the_clock_jumps(peer: Peer, maps: Path, tmp_path
 def test_lidar_alone(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """No odometry comes in: the node computes it, publishes it, and is localized by it."""
     pytest.importorskip("kiss_icp")
-    peer.clear()
     options = PARAMETERS | {"odometry": "kiss-icp", "query_every_m": 10}
-    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
-        peer.ready(odometry=False)
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", maps / "site.segmap", **options):
         truth = peer.walk(40, odometry=False, step=0.5, every_s=0.1)
         assert localized(peer, truth), peer.said
         sent = [t for message in peer.heard["tf"] for t in message.transforms]
         assert {t.child_frame_id for t in sent} == {"odom", "base_link"}
         T_odom_base = pose_in(peer.heard["odom"][-1].pose.pose)
-        assert off(peer.map_to_odom() @ T_odom_base, truth) < 0.5
+        assert off_m(peer.map_to_odom() @ T_odom_base, truth) < 0.5
 
 
 def test_lidar_alone_for_500_m(peer: Peer, tmp_path: Path) -> None:
@@ -216,18 +216,13 @@ def test_lidar_alone_for_500_m(peer: Peer, tmp_path: Path) -> None:
     plaza, around_m = Plaza(3, objects=290, size=250.0), 500.0
     mapped, driven = (RingSequence(plaza, 80.0, around_m, *each) for each in ((2.0,), (1.0, 0.7)))
     build_map(mapped, Config.preset("geo")).save(tmp_path / "ring.segmap")
-    peer.clear()
     options = PARAMETERS | {"odometry": "kiss-icp", "query_every_m": 10, "mode": "tf"}
-    with running(NODE, tmp_path / "log", map=str(tmp_path / "ring.segmap"), **options):
-        peer.ready(odometry=False)
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", tmp_path / "ring.segmap", **options):
         peer.heard["diagnostics"].clear()
         truths = peer.drive(driven)
         assert localized(peer, truths[peer.now]), peer.said
     told = {round(seconds(m.header.stamp), 6): pose_in(m.pose.pose) for m in peer.heard["pose"]}
-    assert max(off(T, truths[stamp]) for stamp, T in told.items()) < 1.0
+    assert max(off_m(T, truths[stamp]) for stamp, T in told.items()) < 1.0
     assert len(told) > 0.95 * len(truths)
     states = [message.status[0].message for message in peer.heard["diagnostics"]]
     states = states[states.index("localized") :]
@@ -245,37 +240,27 @@ def test_a_pose_over_a_power_cycle(peer: Peer, maps: Path, tmp_path: Path) -> No
         ("shifted", np.eye(4), "of another map"),
     ]
     for k, (name, carried, said) in enumerate(boots):
-        peer.clear()
         log = tmp_path / f"log {k}"
-        with running(NODE, log, map=str(maps / f"{name}.segmap"), **options) as node:
-            peer.ready()
-            peer.tell_mount()
-            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-            peer.spin(1.0)
+        with at_work(peer, log, maps / f"{name}.segmap", **options) as node:
             truth = peer.walk(7, begin=(3.0 * k - 14.0, 1.0), step=0.5, carried=carried)
             truth = SHIFT @ truth if name == "shifted" else truth
             assert localized(peer, truth), peer.said
-            offs = [off(pose_in(m.pose.pose), truth) for m in peer.heard["pose"]]
+            offs = [off_m(pose_in(m.pose.pose), truth) for m in peer.heard["pose"]]
             assert max(offs) < 4.0, (k, offs)
             node.send_signal(signal.SIGINT)
             assert node.wait(WAIT_S) == 0
         assert said in log.read_text()
         T = np.array(json.loads(kept.read_text())["T_map_base"])
-        assert off(T, truth) < 0.5
+        assert off_m(T, truth) < 0.5
 
 
 def test_maps_are_replaced_while_it_drives(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """By the service: tiles, a file that is none, and a map of another frame; by the parameter."""
     from rcl_interfaces.srv import SetParameters
 
-    peer.clear()
     cut_tiles(SegmentMap.load(maps / "site.segmap"), tmp_path / "tiles", size_m=50.0)
     log, site = tmp_path / "log", maps / "site.segmap"
-    with running(NODE, log, map=str(site), **PARAMETERS):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, log, site, **PARAMETERS):
         peer.walk(2, step=1.0)
         assert peer.load_map(tmp_path / "tiles", np.eye(4)).success
         truth = peer.walk(4, begin=(-11.0, 1.2), step=1.0)
@@ -311,15 +296,11 @@ def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
     fix = NavSatFix(longitude=longitude, latitude=latitude, position_covariance_type=2)
     fix.status.status = fix.status.STATUS_FIX
     fix.position_covariance = np.eye(3).ravel().tolist()
-    peer.clear()
     options = PARAMETERS | {
         "mode": "tf", "more_points_topics": "[rear]", "fix_topic": "fix", "smooth_tf": "true",
         "smooth_tf_mps": 0.1, "smooth_tf_dps": 1.0,
     }  # fmt: skip
-    with running(NODE, tmp_path / "log", map=str(tmp_path / "site.segmap"), **options):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+    with at_work(peer, tmp_path / "log", tmp_path / "site.segmap", **options):
         peer.until(peer.fix.get_subscription_count, WAIT_S)
         peer.fix.publish(NavSatFix())
         peer.walk(2, rear=True, step=0.0)
@@ -328,7 +309,7 @@ def test_two_lidars_a_wrong_fix_and_a_smooth_transform(
         peer.relocalize()
         truth = peer.walk(14, rear=True, step=0.5)
         assert localized(peer, truth), peer.said
-        assert off(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 8.0
+        assert off_m(pose_in(peer.heard["candidates"][-1].poses[0]), truth) < 8.0
         half = len(peer.plaza.scan(truth @ MOUNT, posed=False).points) / 2
         assert float(peer.values["points"]) > 1.5 * half
         peer.heard["tf"].clear()
@@ -357,12 +338,7 @@ def test_a_lift(peer: Peer, plaza: Plaza, tmp_path: Path) -> None:
     )
     lifted = up @ up
     for name in ("0", "all"):
-        peer.clear()
-        with running(NODE, tmp_path / "log", map=str(tmp_path / f"{name}.segmap"), **PARAMETERS):
-            peer.ready()
-            peer.tell_mount()
-            peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-            peer.spin(1.0)
+        with at_work(peer, tmp_path / "log", tmp_path / f"{name}.segmap", **PARAMETERS):
             peer.plaza = storeys[0]
             truth = peer.walk(4, step=1.0)
             assert localized(peer, truth), peer.said
@@ -378,16 +354,11 @@ def test_a_lift(peer: Peer, plaza: Plaza, tmp_path: Path) -> None:
 
 def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
     """At rest until somebody asks; then near the click, or anywhere, and back to rest."""
-    peer.clear()
-    site, log = str(maps / "site.segmap"), tmp_path / "log"
     quiet = PARAMETERS | {
         "mode": "initialpose", "trigger": "service", "service_timeout_s": 60.0,
         "click_topic": "~/click",  # the peer listens to initialpose
     }  # fmt: skip
-    with running(NODE, log, map=site, **quiet):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
+    with at_work(peer, tmp_path / "log", maps / "site.segmap", **quiet):
         peer.walk(2)
         peer.until(lambda: peer.said == "at rest: call ~/relocalize", WAIT_S)
         assert not peer.heard["initialpose"]
@@ -397,7 +368,7 @@ def test_a_click_and_a_call(peer: Peer, maps: Path, tmp_path: Path) -> None:
         truth = peer.walk(2, begin=(-10.0, 1.2), step=0.0)
         peer.until(lambda: peer.heard["initialpose"], WAIT_S)
         stamp, T = peer.newest("initialpose")
-        assert stamp >= peer.now - 1.0 - 1e-6 and off(T, truth) < 0.5
+        assert stamp >= peer.now - 1.0 - 1e-6 and off_m(T, truth) < 0.5
         covariance = peer.heard["initialpose"][-1].pose.covariance
         assert covariance[0] > 0.06 and covariance[35] > 0.007
         called = peer.relocalize()
@@ -431,19 +402,14 @@ def test_amcl_is_told_by_its_topic_and_its_service(peer: Peer, maps: Path, tmp_p
     options = yaml.safe_load(file.read_text())["/**"]["ros__parameters"] | {
         "set_initial_pose_service": "set_initial_pose", "points_reliable": True,
     }  # fmt: skip
-    peer.clear()
-    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", maps / "site.segmap", **options):
         truth = peer.walk(3, step=0.0)
         peer.until(lambda: called and peer.said == "localized, at rest", WAIT_S)
         told = [*called, *peer.heard["initialpose"]]
         assert len(called) == len(peer.heard["initialpose"]) == 1
         for message in told:
             assert message.header.frame_id == "map"
-            assert off(pose_in(message.pose.pose), truth) < 0.5
+            assert off_m(pose_in(message.pose.pose), truth) < 0.5
     peer.destroy_service(amcl)
 
 
@@ -457,13 +423,8 @@ def test_it_takes_amcls_place(peer: Peer, maps: Path, tmp_path: Path) -> None:
     poses: list[Any] = []
     states: list[Any] = []
     flags: list[Any] = []
-    peer.clear()
     options = PARAMETERS | {"mode": "tf", "tf_when_lost": "keep"}
-    with running(NODE, tmp_path / "log", *remaps, map=str(maps / "site.segmap"), **options):
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", maps / "site.segmap", *remaps, **options):
         truth = peer.walk(3, step=0.0)
         peer.until(lambda: peer.said == "localized", WAIT_S)
         ends = [
@@ -474,7 +435,7 @@ def test_it_takes_amcls_place(peer: Peer, maps: Path, tmp_path: Path) -> None:
             peer.create_subscription(Bool, "/segloc/localized", flags.append, LATCHED),
         ]
         peer.until(lambda: poses and states and flags, WAIT_S)
-        assert off(pose_in(poses[-1].pose.pose), truth) < 0.5
+        assert off_m(pose_in(poses[-1].pose.pose), truth) < 0.5
         assert states[-1].status == state_type.LOCALIZED and flags[-1].data
         assert states[-1].map_to_odom == state_type.TF_CURRENT and states[-1].confidence > 0.9
         assert states[-1].map_url.endswith("site.segmap") and states[-1].reason == ""
@@ -599,21 +560,16 @@ def test_autoware_is_answered(peer: Peer, maps: Path, tmp_path: Path) -> None:
             response = called.result()
             assert (response.success, response.reliable) == (expected, expected)
             if expected:
-                assert off(pose_in(response.pose_with_covariance.pose.pose), truth) < 0.5
+                assert off_m(pose_in(response.pose_with_covariance.pose.pose), truth) < 0.5
 
 
 @pytest.mark.parametrize("trigger", ["periodic", "until_localized"])
 def test_what_it_costs(peer: Peer, maps: Path, plaza: Plaza, tmp_path: Path, trigger: str) -> None:
     """Processor time of a cloud, queries included: `-k costs -s` prints it."""
-    peer.clear()
     events = [e for events, _ in walked(plaza, 25, begin=(-14.0, 1.0), step=1.0) for e in events]
     size = np.mean([12e-6 * len(e.scan.points) for e in events if e.scan is not None])
     options = PARAMETERS | {"trigger": trigger, "query_every_m": 10}
-    with running(NODE, tmp_path / "log", map=str(maps / "site.segmap"), **options) as node:
-        peer.ready()
-        peer.tell_mount()
-        peer.until(lambda: peer.heard["map_cloud"], WAIT_S)
-        peer.spin(1.0)
+    with at_work(peer, tmp_path / "log", maps / "site.segmap", **options) as node:
         begun = processor_s(node.pid)
         for event in events:
             stamp = peer.now + 10.0 + (event.stamp - 100.0)
