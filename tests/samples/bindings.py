@@ -7,6 +7,8 @@ A crash ends the process: run it as a child.
 
 from __future__ import annotations
 
+import inspect
+import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -335,95 +337,14 @@ def _others() -> Iterator[tuple[str, Call]]:
     yield "instruction_set", Call(lambda isa: len(_native.instruction_set(isa)), {"isa": "auto"})
 
 
+_TABLES = (
+    *(_segmentation, _local_clouds, _poses, _clouds, _occupancy, _descriptors),
+    *(_matching, _networks, _training, _others),
+)
 ROOMS: dict[Callable[[], Iterator[tuple[str, Call]]], tuple[str, ...]] = {
-    _segmentation: (
-        "voxel_grid",
-        "central_points",
-        "heights_above_ground",
-        "euclidean_clusters",
-        "split_by_height",
-        "segments_above",
-        "flat_normals",
-        "fit_vertical",
-        "point_spacing",
-        "MeshRays",
-        "MeshRays.cast",
-    ),
-    _local_clouds: (
-        "moved_crop",
-        "VoxelWindow",
-        "VoxelWindow.push",
-        "VoxelWindow.drop",
-        "VoxelWindow.move",
-        "VoxelWindow.cloud",
-    ),
-    _poses: (
-        "Agreement",
-        "Agreement.count",
-        "consensus",
-        "pose_votes",
-        "prosac",
-        "consistent_sets",
-    ),
-    _clouds: (
-        "PointIndex",
-        "PointIndex.overlap",
-        "PointIndex.sample",
-        "PointIndex.correlate",
-        "KnownSpace",
-        "KnownSpace.codes",
-        "VisibilityCheck",
-        "VisibilityCheck.count",
-        "normals",
-        "Surface",
-        "Surface.align",
-        "Surface.off_plane",
-    ),
-    _occupancy: ("PoseSearch", "PoseSearch.search"),
-    _descriptors: (
-        "segment_moments",
-        "esf",
-        "gestalt",
-        "voxel_shapes",
-        "prepare_segments",
-        "fps",
-        "dilated_neighbors",
-        "shape_profiles",
-    ),
-    _matching: (
-        "knn",
-        "DescriptorIndex",
-        "DescriptorIndex.search",
-        "order_matches",
-        "pair_features",
-        "Forest",
-        "Forest.predict",
-        "Forest.predict_pairs",
-    ),
-    _networks: (
-        "Perceptron",
-        "Perceptron.run",
-        "Network.describe",
-        "Network.activations",
-        "Network",
-        "VoxelNetwork.describe",
-    ),
-    _training: (
-        "xconv_apply",
-        "xconv_apply_backward",
-        "column_maps",
-        "column_maps_backward",
-        "elu_norm",
-        "elu_norm_backward",
-    ),
-    _others: (
-        "lzf_decompress",
-        "octree_encode",
-        "octree_points",
-        "resolve_threads",
-        "instruction_set",
-    ),
+    table: tuple(re.findall(r'yield "([\w.]+)"', inspect.getsource(table))) for table in _TABLES
 }
+"""The names of each table, which are known before its arguments are made."""
 NAMES = tuple(name for names in ROOMS.values() for name in names)
 
 TOGETHER: dict[str, tuple[Arguments, ...]] = {
