@@ -38,7 +38,7 @@ from segloc.types import Float32, Pose, Recording
 
 from .plaza import Plaza
 from .ros_drive import BASE, LIDAR, MOUNT, ODOM
-from .streams import T_MAP_ODOM, walked
+from .streams import walked
 
 REAR = geometry.yaw_transform(-2.0, (-1.0, -0.3, 0.1))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -265,6 +265,3 @@ def resident_mb(pid: int) -> float:
     """Resident memory of a process, megabytes."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-__all__ = ["MOUNT", "T_MAP_ODOM", "Peer", "processor_s", "resident_mb", "running"]
