@@ -43,12 +43,6 @@ def test_threads_share_a_localizer(localizer: Localizer, scans: list[Scan]) -> N
     assert found == [expected[k % 4] for k in range(16)]
 
 
-def test_a_localizer_can_be_pickled(localizer: Localizer, scans: list[Scan]) -> None:
-    again = pickle.loads(pickle.dumps(localizer))
-    assert again.config == localizer.config
-    assert bits(again.localize(scans[0])) == bits(localizer.localize(scans[0]))
-
-
 def localized(work: tuple[Localizer, Scan]) -> bytes:
     return bits(work[0].localize(work[1]))
 

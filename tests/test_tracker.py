@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from samples.maps import repeated
 from samples.plaza import Plaza
 
 from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.likelihood import VerificationConfig
 from segloc.tracker import Track, Tracker, TrackerConfig
 from segloc.tracking.belief import Status
-from segloc.types import Descriptors, Float64
+from segloc.types import Float64
 
 ACCUMULATED = TrackerConfig(accumulate=True, every_m=5.5)
 T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
@@ -99,17 +100,8 @@ def test_a_robot_is_searched_by_all_it_saw_and_by_a_scan_in_turns_until_its_plac
 def test_views_of_two_places_that_look_alike_are_not_believed(
     plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
-    both = plaza_map.crop((0.0, 0.0), np.inf)
-    move = np.array([510.0, 0.0, 0.0])  # a multiple of the voxels: a true copy
-    both.add(
-        Descriptors(plaza_map.vectors, plaza_map.quality),
-        plaza_map.centroids + move,
-        plaza_map.sizes,
-        session=1,
-        stamp=0.0,
-        cloud=plaza_map.cloud + plaza_map.origin + move,
-    )
-    both.add_trajectory(geometry.rigid(np.eye(3), move) @ plaza_map.trajectory)
+    # By a multiple of the voxels: a true copy.
+    both = repeated(plaza_map, (510.0, 0.0, 0.0))
     tracks = walk(Tracker(Localizer(both)), plaza)
     assert not any(track.localized for track in tracks)
     assert tracks[-1].status is Status.CANDIDATE and tracks[-1].reason == "several places fit"

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 import segloc
 from segloc.errors import InvalidScan, SeglocError
 from segloc.frontend.local_cloud import Accumulator
-from segloc.types import LocalCloud, Scan, Segments
+from segloc.types import Scan
 
 floats = st.sampled_from([np.float16, np.float32, np.float64, np.longdouble])
 
@@ -68,14 +68,6 @@ def test_finite_coordinates_that_no_frame_has_are_dropped_with_their_times(metre
     assert len(Accumulator().gather(scan).points)  # what is left suits native code
 
 
-def test_local_clouds_and_segments_refuse_coordinates_that_no_local_frame_has() -> None:
-    far = np.array([[0.0, 1e15, 0.0]], np.float32)
-    with pytest.raises(InvalidScan, match=r"^points: row 0 is beyond 100000 m"):
-        LocalCloud(far, np.eye(4))
-    with pytest.raises(InvalidScan, match=r"^points: row 0 is beyond 100000 m"):
-        Segments(far, np.array([0, 1]), np.zeros((1, 3)), np.zeros(1, np.float32))
-
-
 def sphere(count: int, metres: float) -> np.ndarray:
     directions = np.random.default_rng(1).normal(size=(count, 3))
     return metres * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -123,19 +115,13 @@ def test_times_must_fit(times: Any) -> None:
     assert isinstance(caught.value, SeglocError) and isinstance(caught.value, ValueError)
 
 
-def test_poses_must_be_rigid_and_are_copied() -> None:
+def test_poses_are_copied() -> None:
     pose = np.eye(4)
     scan = Scan(np.zeros((1, 3)), stamp=3.0, T_odom_sensor=pose)
     pose[0, 3] = 9
     assert scan.T_odom_sensor is not None
     assert scan.T_odom_sensor[0, 3] == 0
     assert scan.stamp == 3.0
-    mirrored, scaled, sheared, last, nan = (np.eye(4) for _ in range(5))
-    mirrored[2, 2], scaled[:3, :3], sheared[0, 1], last[3, 0] = -1, 2 * np.eye(3), 0.1, 1
-    nan[0, 3] = np.nan
-    for bad in (mirrored, scaled, sheared, last, nan, np.eye(3), np.zeros((4, 4)), "pose"):
-        with pytest.raises(InvalidScan, match=r"^T_odom_sensor "):
-            Scan(np.zeros((1, 3)), T_odom_sensor=bad)
 
 
 def test_all_that_is_public_is_there() -> None:

@@ -7,25 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.walk import as_folder
 from typer.testing import CliRunner
 
 from segloc import Localizer, MapMismatch, SegmentMap
 from segloc.descriptors import create
 from segloc.descriptors.weightfile import read_weights, shipped_weights, write_weights
 from segloc.tools.cli import app
-from segloc.tools.io import Trajectory, write_tum
-from segloc.tools.io.scans import write_scan
 
 
 @pytest.fixture
 def recording(plaza: Plaza, tmp_path: Path) -> Path:
     """A walk on disk, with poses."""
-    folder, walk = tmp_path / "walk", PlazaSequence(plaza, steps=4)
-    folder.mkdir()
-    for i in range(len(walk)):
-        write_scan(folder / f"{i:04d}.npy", walk.scan(i).points)
-    write_tum(folder / "poses.tum", Trajectory(np.arange(4.0), walk.poses))
-    return folder
+    return as_folder(tmp_path / "walk", PlazaSequence(plaza, steps=4))
 
 
 def retrained(path: Path) -> Path:

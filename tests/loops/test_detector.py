@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from samples.plaza import Plaza
+from samples.plaza import Plaza, RingSequence
 
 from segloc import Config, InvalidScan, LoopDetector, Scan, geometry
 from segloc.loops import LoopClosure, LoopConfig
@@ -26,15 +26,7 @@ def small() -> Config:
 
 def laps(metres: float) -> Float64:
     """True poses on a circle."""
-    angles = np.arange(0.0, metres, STEP_M) / RADIUS_M
-    return np.stack(
-        [
-            geometry.yaw_transform(
-                a + math.pi / 2, (RADIUS_M * math.cos(a), RADIUS_M * math.sin(a), 1.8)
-            )
-            for a in angles
-        ]
-    )
+    return RingSequence(Plaza(0), RADIUS_M, metres, STEP_M).poses
 
 
 def drifted(truths: Float64, per_m: float = 0.01, degrees_per_m: float = 0.02) -> Float64:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from samples.walk import Walk
+from samples.walk import Walk, in_view
 
 import segloc
 from segloc import Config, Localizer, MemoryRecording, Scan, SeglocError, SegmentMap, build_map
@@ -112,11 +112,6 @@ def test_what_is_wrong_is_told_in_one_line(
 def test_a_wrong_configuration_is_a_config_error(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(segloc.ConfigError, match=message):
         make()
-
-
-def in_view(points: Float64) -> Float64:
-    """What a sensor that sees 120 degrees has of a scan."""
-    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
 
 
 def test_settings_follow_the_field_of_view_where_they_have_their_defaults() -> None:

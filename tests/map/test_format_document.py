@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import re
 import struct
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from samples.source import PROJECT
+from samples.source import PROJECT, loaded
 
 from segloc import Config, SegmentMap, build_map
 from segloc.descriptors.weightfile import shipped_weights
@@ -22,10 +21,7 @@ from segloc.map.compact import CompactConfig, compacted
 from segloc.map.config import MappingConfig
 from segloc.map.file import FORMAT_VERSION
 
-SITE = importlib.util.spec_from_file_location("site_pages", PROJECT / "docs" / "site.py")
-assert SITE and SITE.loader
-PAGES = importlib.util.module_from_spec(SITE)
-SITE.loader.exec_module(PAGES)
+PAGES = loaded(PROJECT / "docs" / "site.py")
 DOCUMENT = PAGES.filled((PROJECT / "docs" / "reference" / "formats.md").read_text("utf-8"))
 DTYPES = {"F64": "<f8", "F32": "<f4", "I32": "<i4", "I8": "<i1", "U8": "|u1"}
 
@@ -119,14 +115,14 @@ def cloud_of(data: bytes, how: dict[str, Any], origin: Any, voxel: float) -> np.
 
 def test_a_packed_map_is_read_as_the_document_says(packed: Path) -> None:
     header, tensors, raw = opened(packed)
-    texts, loaded = header["__metadata__"], SegmentMap.load(packed)
+    texts, held = header["__metadata__"], SegmentMap.load(packed)
     assert list(tensors) == [row[0] for row in table("map tensors")]
     coding, voxel = json.loads(texts["coding"]), float(texts["cloud_voxel"])
     assert coding.keys() == tensors.keys() - {"origin"}
     for name, how in coding.items():
         assert header[name]["dtype"] == "U8"
         found = unpacked(name, raw[name], how, tensors["origin"], voxel)
-        np.testing.assert_array_equal(found, getattr(loaded, name), name)
+        np.testing.assert_array_equal(found, getattr(held, name), name)
 
 
 def test_a_map_has_the_tensors_of_the_document(site: SegmentMap, saved: Path) -> None:

@@ -45,6 +45,11 @@ class Walk(PlazaSequence):
         return Scan(written, T_odom_sensor=seen.T_odom_sensor)
 
 
+def in_view(points: Float64) -> Float64:
+    """What a sensor that sees 120 degrees has of a scan."""
+    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
+
+
 def written(
     folder: Path,
     points: Points = lambda p: p,

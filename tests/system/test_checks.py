@@ -157,6 +157,9 @@ def pose(**changes: float) -> np.ndarray:
         pose(t00=-1.0),
         pose(t00=1e200),
         pose(t30=1.0),
+        pose(t01=0.1),
+        pose(t00=2.0, t11=2.0, t22=2.0),
+        np.zeros((4, 4)),
         np.eye(3),
         "here",
         None,
@@ -217,6 +220,7 @@ def test_segments_of_ones_own_are_checked() -> None:
         ((points, offsets.astype(float), centroids, heights), "offsets cannot have dtype"),
         ((points, offsets, centroids[:1], heights), r"centroids must have shape \(2, 3\)"),
         ((points, offsets, nan, heights), "centroids: row 1 is not finite"),
+        ((points + np.float32(1e15), offsets, centroids, heights), "points: row 0 is beyond 1"),
         ((points, offsets, centroids, np.array([0, np.inf])), "heights: row 1"),
     ):
         with pytest.raises(InvalidScan, match=expected):

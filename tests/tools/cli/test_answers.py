@@ -19,7 +19,7 @@ from segloc.likelihood import Count, Posterior, Walls, features_of, walls_over
 from segloc.tools.inspect import confidence_tables, steps, summarize, trace
 from segloc.tools.inspect.evidence import LABELS, evidence_rows, parts_of
 from segloc.tools.io import read_trajectory
-from segloc.types import Descriptors, Scan
+from segloc.types import Scan
 
 AWAY = np.array([300.0, 40.0, 0.0])
 
@@ -169,22 +169,10 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
         assert [name for name, _ in steps(found)][:4] == ["cloud", "ground", "segments", "matches"]
 
 
-def partly(prior_map: SegmentMap) -> SegmentMap:
-    """The map without some of its points."""
-    part = SegmentMap.empty(
-        prior_map.descriptor, prior_map.fingerprint, prior_map.dim, prior_map.origin,
-        cloud_voxel=prior_map.cloud_voxel,
-    )  # fmt: skip
-    kept = prior_map.cloud[np.abs(prior_map.cloud[:, 0]) % 12 < 11.2] + prior_map.origin
-    rows = Descriptors(prior_map.vectors, prior_map.quality)
-    part.add(rows, prior_map.centroids, prior_map.sizes, session=1, stamp=1.0, cloud=kept)
-    part.add_trajectory(prior_map.trajectory)
-    part.metadata.update(prior_map.metadata)
-    return part
-
-
 def test_why_the_best_pose_beats_the_runner_up(plaza: Plaza, plaza_map: SegmentMap) -> None:
-    copy = repeated(partly(plaza_map), AWAY).crop(AWAY[:2], 100.0)
+    everywhere = np.ones(len(plaza_map), bool)
+    partly = plaza_map.kept(everywhere, np.abs(plaza_map.cloud[:, 0]) % 12 < 11.2)
+    copy = repeated(partly, AWAY).crop(AWAY[:2], 100.0)
     both = plaza_map.merge(copy)
     both.metadata.update(plaza_map.metadata)
     localizer = Localizer(both)

@@ -12,7 +12,8 @@ import yaml
 from samples.on_board import HIGH, LOW, beside, masted, with_mast
 from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
-from samples.walk import Points, Poses, Walk, as_folder, run, written
+from samples.walk import Points, Poses, Walk, as_folder, in_view, run, written
+from samples.workplace import T_CAMERA_SENSOR
 from scipy.spatial.transform import Rotation
 
 from segloc import (
@@ -43,7 +44,6 @@ from segloc.tools.doctor import (
 from segloc.types import Float64, Recording, Reposed, Scan
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
-T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 def turned(axis: str, degrees: float) -> Points:
@@ -176,10 +176,6 @@ class Narrow(Walk):
         super().__init__(in_view)
         for k, T in enumerate(self.poses):
             T[:] = geometry.yaw_transform(0.5 * k, (0.5 * k - 4.0, 1.0, 1.8))
-
-
-def in_view(points: Float64) -> Float64:
-    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(60)]
 
 
 @pytest.mark.slow
