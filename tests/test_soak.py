@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import gc
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
+from samples.usage import resident_mb
 
 from segloc import Config, Localizer, Scan, Tracker, build_map, geometry
 
@@ -20,12 +20,6 @@ pytestmark = [
 WARM_UP, COUNT = 40, 200
 GROWTH_MB = 4.0
 """20 kB a query."""
-
-
-def resident_mb() -> float:
-    gc.collect()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +46,10 @@ def test_queries(localizer: Localizer, scans: list[Scan]) -> None:
             localizer.localize(scans[k % len(scans)])
 
     ask(WARM_UP)
+    gc.collect()
     before = resident_mb()
     ask(COUNT)
+    gc.collect()
     assert resident_mb() - before < GROWTH_MB
 
 
@@ -66,6 +62,8 @@ def test_tracker_updates(localizer: Localizer, scans: list[Scan]) -> None:
             tracker.update(scans[k % len(scans)], poses[k % len(scans)])
 
     drive(WARM_UP)
+    gc.collect()
     before = resident_mb()
     drive(COUNT)
+    gc.collect()
     assert resident_mb() - before < GROWTH_MB

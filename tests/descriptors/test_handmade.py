@@ -158,13 +158,3 @@ def test_a_turned_box_has_its_own_extents_and_spreads() -> None:
             np.exp(values[3:6]), np.sort(size)[::-1] / math.sqrt(12), rtol=0.02
         )
         assert abs(values[6] - 1.5) < 1e-4
-
-
-@settings(max_examples=15)
-@given(st.integers(0, 99), st.floats(-math.pi, math.pi), st.floats(-40, 40))
-def test_turning_moving_and_reordering_change_nothing(seed: int, yaw: float, x: float) -> None:
-    rng = np.random.default_rng(seed)
-    cloud = rng.normal(0, [3.0, 1.0, 0.7], (200, 3))
-    moved = rng.permutation(geometry.transform(geometry.yaw_transform(yaw, (x, 5, 0)), cloud))
-    first, second = numbers(packed([cloud, moved]))
-    np.testing.assert_allclose(first, second, atol=2e-3)

@@ -109,9 +109,6 @@ def test_files_keep_the_network_but_for_eight_bits(tmp_path: Path) -> None:
     stored = descriptor.describe(segments).vectors
     apart = np.linalg.norm(full[:, None] - full[None], axis=2)[np.triu_indices(30, 1)]
     assert np.linalg.norm(stored - full, axis=1).max() < 0.02 * np.median(apart)
-    again = segmap.SegMapDescriptor(path, threads=2)
-    np.testing.assert_array_equal(again.describe(segments).vectors, stored)
-    assert again.fingerprint == descriptor.fingerprint
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import pytest
 from samples.documents import Code, code, documents
 from samples.source import PROJECT
 from samples.walk import run
-from samples.workplace import furnish, points_of, walk
+from samples.workplace import Steps, furnish
 
 import segloc
 from segloc import Localizer, Scan, SegmentMap, geometry
@@ -33,7 +33,7 @@ NOT_RUN = {
     r"(lab/src/)\S+\.sh": LABORATORY,
     r"segloc bench": LABORATORY,
     r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in lab/tests",
-    r"segloc localize .*--gnss": "needs a bag with fixes; in tests/tools/cli/test_gnss.py",
+    r"segloc localize .*--gnss": "needs a bag with fixes; in tests/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
     r"segloc .*--report": LABORATORY,
     r"segloc evaluate (all|report|peers)": LABORATORY,
@@ -225,8 +225,8 @@ def known(place: Path) -> dict[str, Any]:
     """The names that the blocks take as given: a stream of scans, a map, what a robot has."""
     from segloc.tools.datasets import open_sequence
 
-    first = walk()
-    stream = [Message(points_of(first, k), T) for k, T in enumerate(first.poses)]
+    first = Steps()
+    stream = [Message(first.seen(k), T) for k, T in enumerate(first.poses)]
     for k, message in enumerate(stream):
         message.stamp = 10.25 + k  # type: ignore[misc]
         message.times = None

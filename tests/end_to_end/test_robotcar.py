@@ -19,31 +19,15 @@ import pytest
 pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
+from samples.drift import errors_across
 from samples.robotcar import T_sensor_car, write_drive
 from segloc_lab.simulation import Conditions, lms151, simulate_sessions, town
 
-from segloc import geometry
 from segloc.tools.datasets import open_sequence
 from segloc.tools.io import read_trajectory
-from segloc.types import Float64
 
 LENGTH_M = 110.0
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "robotcar.sh"
-
-
-def errors(
-    anchors: Float64, found: Float64, first: Float64, truth: Float64, reach_m: float = 6.0
-) -> Float64:
-    """Errors of poses [m], relative to the nearest pose of the first session."""
-    off = []
-    for T, true in zip(found, truth, strict=True):
-        apart = np.linalg.norm(first[:, :3, 3] - true[:3, 3], axis=1)
-        near = int(apart.argmin())
-        if apart[near] < reach_m:
-            expected = geometry.inverse(first[near]) @ true
-            delta = geometry.inverse(anchors[near]) @ T
-            off.append(np.linalg.norm(delta[:3, 3] - expected[:3, 3]))
-    return np.array(off)
 
 
 @pytest.mark.slow
@@ -72,7 +56,7 @@ def test_sessions_are_aligned_trained_on_and_localized(tmp_path: Path) -> None:
     facts = json.loads((out / "aligned" / "alignment.json").read_text())
     assert facts["components"] == [[0, 1]]
     poses = [read_trajectory(out / "aligned" / f"session_{k}.tum").poses for k in (0, 1)]
-    off = errors(*poses, first, second)
+    off = errors_across(*poses, first, second)
     assert len(off) > 100 and np.median(off) < 0.15 and off.max() < 0.5
 
     with (out / "dataset" / "pairs.csv").open(newline="") as file:
@@ -84,7 +68,7 @@ def test_sessions_are_aligned_trained_on_and_localized(tmp_path: Path) -> None:
     recorded = open_sequence(folders[1], "none")
     assert recorded.stamps is not None
     numbers = recorded.indices[np.searchsorted(recorded.stamps, found.stamps - 1e-3)]
-    off = errors(poses[0], found.poses, first, second[numbers], reach_m=np.inf)
+    off = errors_across(poses[0], found.poses, first, second[numbers], reach_m=np.inf)
     assert len(off) >= 4 and off.max() < 1.0
     summary = json.loads((out / "results" / "summary.json").read_text())
     assert (summary["correct"], summary["false"]) == (len(found), 0)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 from samples.walk import as_folder, run
 from scipy.spatial import cKDTree
@@ -18,7 +19,6 @@ from segloc.joining.visibility import visibility
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
-from segloc.types import Descriptors
 
 pytestmark = pytest.mark.slow
 
@@ -192,18 +192,8 @@ def test_the_command(later: PlazaSequence, prior_map: SegmentMap, tmp_path: Path
 
 
 def _little_map(missed: list[int]) -> SegmentMap:
-    prior_map = SegmentMap.empty("geo", "f", 2)
-    for k in range(len(missed)):
-        prior_map.add(
-            Descriptors(np.full((1, 2), k, np.float32)),
-            np.array([[0.1 * k, 0, 0]]),
-            [10],
-            session=k,
-            stamp=k,
-            cloud=np.array([[float(k), 0, 0]]),
-        )
-    full = np.ones(len(missed), dtype=bool)
-    return prior_map.kept(full, full, np.array(missed))
+    made = make_map(len(missed), segments=1)
+    return made.kept(np.ones(len(made), bool), np.ones(len(made.cloud), bool), np.array(missed))
 
 
 def test_missed_is_kept_on_disk_and_by_merging(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.drift import DRIFT, drifted, errors_across
 from samples.executors import Walk
 from samples.plaza import Plaza, PlazaSequence
 from samples.walk import as_folder, run
-from segloc_lab.simulation import OdometryNoise
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
 from segloc.errors import ConfigError, DatasetError
@@ -21,34 +21,12 @@ from segloc.loops.consistency import reject_unsupported
 from segloc.loops.growing_map import blocks_of
 from segloc.loops.loops import Chain, Loop
 from segloc.loops.submaps import Session
-from segloc.tools.datasets import Recording
 from segloc.tools.io import read_trajectory, write_scan
 from segloc.types import Float64
 
 pytestmark = pytest.mark.slow
 
 CONFIG = Config(threads=1)
-DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
-
-
-def drifted(recording: Recording, truth: Float64, seed: int) -> Reposed:
-    """The recording with odometry of 1 % drift, in a frame of its own."""
-    rng = np.random.default_rng(seed)
-    shift = rng.uniform(-300, 300, 3)
-    frame = geometry.yaw_transform(float(rng.uniform(-3, 3)), tuple(shift.tolist()))
-    return Reposed(recording, frame @ DRIFT.odometry(truth, rng))
-
-
-def errors_across(a: Float64, b: Float64, true_a: Float64, true_b: Float64) -> Float64:
-    """How far poses of b are off, seen from the nearest pose of a, where that is within 6 m."""
-    apart = np.linalg.norm(true_a[:, None, :2, 3] - true_b[None, :, :2, 3], axis=2)
-    errors = []
-    for j in np.flatnonzero(apart.min(axis=0) < 6):
-        i = int(apart[:, j].argmin())
-        truth = geometry.inverse(true_a[i]) @ true_b[j]
-        found = geometry.inverse(a[i]) @ b[j]
-        errors.append(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
-    return np.array(errors)
 
 
 @pytest.fixture(scope="module")

@@ -7,23 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.drift import drifted
 from samples.walk import as_folder, run
-from segloc_lab.simulation import OdometryNoise
 
-from segloc import Config, MapMismatch, Scan, SegmentMap, align_to_map, build_map, geometry, sample
+from segloc import Config, MapMismatch, Scan, SegmentMap, align_to_map, build_map, sample
 from segloc.errors import ConfigError, DatasetError
 from segloc.sample import SampleDrive
 from segloc.tools.io import read_trajectory
-from segloc.types import Float64, Reposed
+from segloc.types import Float64
 
 CONFIG = Config(threads=1)
-DRIFT = OdometryNoise(drift_m=0.03, drift_deg=0.04, scale=0.01)
-
-
-def drifted(drive: SampleDrive, seed: int) -> Reposed:
-    """The drive with odometry of 1 % drift, in a frame of its own."""
-    frame = geometry.yaw_transform(2.0, (100.0, -50.0, 7.0))
-    return Reposed(drive, frame @ DRIFT.odometry(drive.truth, np.random.default_rng(seed)))
 
 
 def errors_m(poses: Float64, truth: Float64) -> Float64:
@@ -43,7 +36,8 @@ def prior_map() -> SegmentMap:
 
 @pytest.mark.slow
 def test_another_day_is_brought_into_the_map(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
-    found = align_to_map(prior_map, [drifted(tuesday, 1), drifted(tuesday, 2)], CONFIG)
+    sessions = [drifted(tuesday, tuesday.truth, seed) for seed in (1, 2)]
+    found = align_to_map(prior_map, sessions, CONFIG)
     for poses, odometry, unanchored_m in zip(
         found.poses, found.odometry, found.unanchored_m, strict=True
     ):
@@ -57,7 +51,7 @@ def test_another_day_is_brought_into_the_map(prior_map: SegmentMap, tuesday: Sam
 def test_a_short_session_in_memory_is_brought_there_too(
     prior_map: SegmentMap, tuesday: SampleDrive
 ) -> None:
-    moved = drifted(tuesday, 3)
+    moved = drifted(tuesday, tuesday.truth, 3)
     scans: list[Scan] = [moved.scan(i) for i in range(20, 26)]
     found = align_to_map(prior_map, [scans], CONFIG)
     assert np.median(errors_m(found.poses[0], tuesday.truth[20:26])) < 0.3
@@ -65,9 +59,10 @@ def test_a_short_session_in_memory_is_brought_there_too(
 
 @pytest.mark.slow
 def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
-    elsewhere = drifted(sample.load("elsewhere"), 4)
+    other = sample.load("elsewhere")
+    elsewhere = drifted(other, other.truth, 4)
     with pytest.raises(MapMismatch, match=r"session 1: elsewhere does not meet the map: 0 of 1. p"):
-        align_to_map(prior_map, [drifted(tuesday, 1), elsewhere], CONFIG)
+        align_to_map(prior_map, [drifted(tuesday, tuesday.truth, 1), elsewhere], CONFIG)
     with pytest.raises(DatasetError, match=r"session 0: memory: .*needs odometry"):
         align_to_map(prior_map, [[tuesday.scan(0).points]], CONFIG)
     with pytest.raises(ConfigError, match="no session"):
@@ -85,8 +80,9 @@ def test_the_commands(
     monkeypatch.chdir(tmp_path)
     prior_map.save("site.segmap")
     before = Path("site.segmap").read_bytes()
-    as_folder(tmp_path / "tuesday", drifted(tuesday, 1), "odometry.tum")
-    as_folder(tmp_path / "elsewhere", drifted(sample.load("elsewhere"), 4), "odometry.tum")
+    as_folder(tmp_path / "tuesday", drifted(tuesday, tuesday.truth, 1), "odometry.tum")
+    other = sample.load("elsewhere")
+    as_folder(tmp_path / "elsewhere", drifted(other, other.truth, 4), "odometry.tum")
     posed = ("--poses", "odometry.tum", "--threads", 1)
 
     assert run("align", "site.segmap", "tuesday", "--out", "aligned", *posed) == 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from samples.io import pcd
 from samples.plaza import Plaza, PlazaSequence
+from samples.streams import off_m
 from samples.walk import run
 from scipy.spatial.transform import Rotation
 
@@ -23,12 +24,13 @@ from segloc.map.georeference import Georeference
 from segloc.map.viewpoints import Occluders, Sight
 from segloc.tools.cli.map_info import show
 from segloc.tools.io import Trajectory, write_tum
-from segloc.types import Float64
+from segloc.types import Float64, Pose
 
 CONFIG = Config(threads=1)
 UTM = np.array([500_000.25, 5_400_000.5, 300.0])
 TILTED = Rotation.from_euler("xy", [12, 16], degrees=True).as_matrix()
 CAMERA = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+IN_PLACE = np.eye(4)
 
 
 @pytest.fixture(scope="module")
@@ -36,18 +38,18 @@ def site(plaza: Plaza) -> SegmentMap:
     return SegmentMap.from_cloud(plaza.points, CONFIG)
 
 
-def errors_m(site: SegmentMap, plaza: Plaza, shift: Float64) -> list[float]:
+def errors_m(site: SegmentMap, plaza: Plaza, T_map_plaza: Pose = IN_PLACE) -> list[float]:
     localizer, walk = Localizer(site), PlazaSequence(plaza, 6, posed=False)
     found = [localizer.localize(walk.scan(i)) for i in range(len(walk))]
     return [
-        float(np.linalg.norm(r.T_map_sensor[:3, 3] - T[:3, 3] - shift))
+        off_m(r.T_map_sensor, T_map_plaza @ T)
         for r, T in zip(found, walk.poses, strict=True)
         if r.T_map_sensor is not None
     ]
 
 
 def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> None:
-    errors = errors_m(site, plaza, np.zeros(3))
+    errors = errors_m(site, plaza)
     assert len(errors) >= 5
     assert max(errors) < 0.5
     assert site.metadata["source"] == "cloud"
@@ -76,7 +78,7 @@ def test_scans_are_on_walls_that_are_as_thick_as_those_of_the_cloud(
 
 def test_utm_coordinates_keep_centimetres(plaza: Plaza) -> None:
     site = SegmentMap.from_cloud(np.array_split(plaza.points + UTM, 7), CONFIG)
-    errors = errors_m(site, plaza, UTM)
+    errors = errors_m(site, plaza, geometry.rigid(np.eye(3), UTM))
     assert len(errors) >= 5
     assert max(errors) < 0.5
 
@@ -176,9 +178,7 @@ def test_what_is_no_cloud_is_refused() -> None:
 
 
 def pcd_file(path: Path, points: Float64, size: int = 8) -> Path:
-    rows = np.zeros(len(points), [(axis, f"<f{size}") for axis in "xyz"])
-    for axis, values in zip("xyz", points.T, strict=True):
-        rows[axis] = values
+    rows = np.rec.fromarrays(points.T.astype(f"<f{size}"), names="x,y,z")
     path.write_bytes(pcd(rows, "binary"))
     return path
 
@@ -255,13 +255,7 @@ def test_a_turned_cloud_is_levelled_and_answers_are_known_in_its_own_frame(
     T_map_cloud = np.array(json.loads(site.metadata["T_map_cloud"]))
     up = T_map_cloud[:3, :3] @ R[:, 2]
     assert np.degrees(np.arccos(up[2])) < 0.5
-    localizer, walk = Localizer(site), PlazaSequence(plaza, 6, posed=False)
-    found = [localizer.localize(walk.scan(i)) for i in range(len(walk))]
-    errors = [
-        np.linalg.norm((np.linalg.inv(T_map_cloud) @ r.T_map_sensor)[:3, 3] - R @ T[:3, 3])
-        for r, T in zip(found, walk.poses, strict=True)
-        if r.T_map_sensor is not None
-    ]
+    errors = errors_m(site, plaza, T_map_cloud @ geometry.rigid(R, np.zeros(3)))
     assert len(errors) >= 5
     assert max(errors) < 0.5
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import sys
 import time
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +22,7 @@ from samples.ros_drive import (
     on_tf_static,
 )
 from samples.streams import T_MAP_ODOM, Event, off_m, walked
+from samples.usage import resident_mb
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
 from segloc_ros.core.frames import Transform
@@ -373,6 +373,7 @@ def test_the_map_may_come_late_and_be_replaced(localizer: Localizer, plaza: Plaz
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_is_flat_after_a_cloud_of_5_million_points(
     localizer: Localizer, plaza: Plaza
 ) -> None:
@@ -387,13 +388,6 @@ def test_memory_is_flat_after_a_cloud_of_5_million_points(
     del points
     listener.walk(plaza, 8, start_s=107.0)
     assert resident_mb() < before_mb + 60.0
-
-
-def resident_mb() -> float:
-    statm = Path("/proc/self/statm")
-    if not statm.exists():
-        pytest.skip("needs Linux")
-    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_in_another_map_of_the_frame_it_is_searched_near_its_pose(

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from samples.io import pcd
 from segloc import geometry
+from segloc.tools.io import write_scan
 from segloc.types import Float64
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -95,6 +97,13 @@ def made(folder: Path) -> Path:
     return folder
 
 
+def numbered(folder: Path, names: list[str]) -> Path:
+    """A folder of scans; the scan at position i has the point (i, 0, 0) i + 1 times."""
+    for i, name in enumerate(names):
+        write_scan(made(folder) / name, np.tile([float(i), 0, 0], (i + 1, 1)))
+    return made(folder)
+
+
 def float_rows(points: Float64, *columns: Float64) -> bytes:
     return np.column_stack([points, *columns]).astype("<f4").tobytes()
 
@@ -155,12 +164,8 @@ def kitti_raw(root: Path, drive: Drive) -> Path:
 
 def binary_pcd(points: Float64) -> bytes:
     """A PCD file of x, y, z and intensity."""
-    header = (
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
-        f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
-        f"POINTS {len(points)}\nDATA binary\n"
-    )
-    return header.encode() + float_rows(points, ones(points))
+    rows = np.column_stack([points, ones(points)]).astype("<f4")
+    return pcd(np.rec.fromarrays(rows.T, names="x,y,z,intensity"), "binary")
 
 
 def wild_places(root: Path, drive: Drive) -> Path:

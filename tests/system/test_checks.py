@@ -47,16 +47,13 @@ def points(plaza: Plaza) -> np.ndarray:
 def test_an_array_is_a_scan(localizer: Localizer, points: np.ndarray) -> None:
     expected = localizer.localize(Scan(points))
     assert expected.localized
-    fields = np.zeros(
-        len(points), [("t", "<u4"), *((axis, "<f4") for axis in "xyz"), ("ring", "u1")]
-    )
-    for axis, values in zip("xyz", points.T, strict=True):
-        fields[axis] = values
+    zeros = [np.zeros(len(points), kind) for kind in ("<u4", "u1")]
+    fields = np.rec.fromarrays([zeros[0], *points.T, zeros[1]], names="t,x,y,z,ring")
     organised = np.full((3, len(points), 4), np.nan)
     organised[1, :, :3] = points
     for same in (
         points, points.astype(np.float64), np.asfortranarray(points), memoryview(points), fields,
-        fields.view(np.recarray), np.stack([fields, np.zeros_like(fields)]), organised,
+        np.asarray(fields), np.stack([fields, np.zeros_like(fields)]), organised,
     ):  # fmt: skip
         np.testing.assert_array_equal(localizer.localize(same).T_map_sensor, expected.T_map_sensor)
     masked = np.ma.masked_array(np.vstack([points, points + 50]))

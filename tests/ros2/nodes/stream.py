@@ -31,8 +31,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from samples.plaza import Plaza, RingSequence
 from samples.ros_drive import BASE, LIDAR, MOUNT, ODOM
-from samples.ros_peer import processor_s, resident_mb, running
+from samples.ros_peer import running
 from samples.streams import T_MAP_ODOM
+from samples.usage import processor_s, resident_mb
 from segloc_lab.report import Cell, Table, entries, keep, publish, resumed
 from segloc_msgs.msg import State
 from segloc_ros.core.frames import Transform

@@ -20,6 +20,7 @@ import pytest
 import yaml
 from samples.plaza import Plaza, PlazaSequence, RingSequence
 from samples.streams import T_MAP_ODOM, off_m, walked
+from samples.usage import processor_s, resident_mb
 
 from segloc import Config, Scan, SegmentMap, build_map, geometry
 from segloc.map.georeference import KEY, Georeference
@@ -35,8 +36,6 @@ from samples.ros_peer import (  # noqa: E402
     LATCHED,
     MOUNT,
     Peer,
-    processor_s,
-    resident_mb,
     running,
 )
 from segloc_ros.core.replies import PoseReply  # noqa: E402

@@ -10,18 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from samples.datasets import numbered
 
 from segloc.errors import ConfigError, DatasetError
 from segloc.tools.datasets import Sequence, open_sequence, parse_select
 from segloc.tools.io import Trajectory, write_kitti, write_scan, write_tum
-
-
-def recording(folder: Path, names: list[str]) -> Path:
-    """A folder of scans; the scan at position i has the point (i, 0, 0) i + 1 times."""
-    folder.mkdir(exist_ok=True)
-    for i, name in enumerate(names):
-        write_scan(folder / name, np.tile([float(i), 0, 0], (i + 1, 1)))
-    return folder
 
 
 def straight(stamps: list[float]) -> Trajectory:
@@ -32,7 +25,7 @@ def straight(stamps: list[float]) -> Trajectory:
 
 
 def test_scans_in_order_with_numbers_stamps_and_poses(tmp_path: Path) -> None:
-    folder = recording(tmp_path / "run", ["lidar2_7.pcd", "lidar2_8.npy", "lidar2_10.bin"])
+    folder = numbered(tmp_path / "run", ["lidar2_7.pcd", "lidar2_8.npy", "lidar2_10.bin"])
     (folder / ".lidar2_9.bin.tmp").write_bytes(b"unfinished")
     (folder / ".lidar2_9.bin").write_bytes(b"hidden")
     (folder / "times.txt").write_text("0.1\n0.2\n")
@@ -57,21 +50,21 @@ def test_scans_in_order_with_numbers_stamps_and_poses(tmp_path: Path) -> None:
 
 
 def test_without_poses_and_without_numbers(tmp_path: Path) -> None:
-    sequence = open_sequence(recording(tmp_path / "run", ["a.ply", "b.ply"]))
+    sequence = open_sequence(numbered(tmp_path / "run", ["a.ply", "b.ply"]))
     assert sequence.indices.tolist() == [0, 1]
     assert sequence.poses is None
     assert sequence.scan(1).T_odom_sensor is None
 
 
 def test_the_file_of_one_scan_is_a_recording_of_it(tmp_path: Path) -> None:
-    folder = recording(tmp_path / "run", ["7.ply", "8.ply"])
+    folder = numbered(tmp_path / "run", ["7.ply", "8.ply"])
     one = open_sequence(folder / "8.ply")
     assert (one.name, one.indices.tolist()) == ("8.ply", [8])
     np.testing.assert_array_equal(one.scan(0).points, open_sequence(folder).scan(1).points)
 
 
 def test_text_files_are_scans_only_among_themselves(tmp_path: Path) -> None:
-    folder = recording(tmp_path / "run", ["1.csv", "2.csv"])
+    folder = numbered(tmp_path / "run", ["1.csv", "2.csv"])
     write_kitti(folder / "poses.txt", straight([0, 1, 2]))
     assert len(open_sequence(folder, folder / "poses.txt")) == 2
     write_scan(folder / "3.laz", np.ones((1, 3)))
@@ -79,7 +72,7 @@ def test_text_files_are_scans_only_among_themselves(tmp_path: Path) -> None:
 
 
 def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: Path) -> None:
-    folder = recording(tmp_path / "run", ["2.npy", "4.npy", "5.npy"])
+    folder = numbered(tmp_path / "run", ["2.npy", "4.npy", "5.npy"])
     for rows, expected in (
         (6, [20, 40, 50]),
         (9, [20, 40, 50]),
@@ -101,7 +94,7 @@ def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: P
 
 
 def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
-    folder = recording(tmp_path / "run", [f"{i:04}.npy" for i in range(8)])
+    folder = numbered(tmp_path / "run", [f"{i:04}.npy" for i in range(8)])
     write_tum(tmp_path / "poses.tum", straight([2, 3, 4]))
     whole = open_sequence(folder, tmp_path / "poses.tum")
     assert whole.indices.tolist() == [2, 3, 4]
@@ -120,7 +113,7 @@ def test_scans_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
 def test_poses_are_looked_for_beside_the_scans(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = recording(tmp_path / "run", ["0.npy", "1.npy"])
+    folder = numbered(tmp_path / "run", ["0.npy", "1.npy"])
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     places = [tmp_path, folder, tmp_path / "elsewhere"]  # the later, the sooner it is found
@@ -135,7 +128,7 @@ def test_poses_are_looked_for_beside_the_scans(
 
 
 def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
-    empty = recording(tmp_path / "empty", [])
+    empty = numbered(tmp_path / "empty", [])
     with pytest.raises(DatasetError, match="no such folder"):
         open_sequence(tmp_path / "missing")
     with pytest.raises(DatasetError, match="no scans of a known format"):
@@ -147,16 +140,16 @@ def test_folders_that_are_no_recordings(tmp_path: Path) -> None:
         open_sequence(empty)
     over = tmp_path / "over"
     over.mkdir()
-    recording(over / "more", ["0.npy"])
+    numbered(over / "more", ["0.npy"])
     with pytest.raises(DatasetError, match="among its 0 files; scans found in subfolders: more"):
         open_sequence(over)
-    twice = recording(tmp_path / "twice", ["a_01.npy", "b_1.npy"])
+    twice = numbered(tmp_path / "twice", ["a_01.npy", "b_1.npy"])
     with pytest.raises(DatasetError, match=r"a_01\.npy and b_1\.npy are both scan 1"):
         open_sequence(twice)
-    large = recording(tmp_path / "large", ["9" * 30 + ".npy"])
+    large = numbered(tmp_path / "large", ["9" * 30 + ".npy"])
     with pytest.raises(DatasetError, match="too large"):
         open_sequence(large)
-    broken = recording(tmp_path / "broken", ["0.npy"])
+    broken = numbered(tmp_path / "broken", ["0.npy"])
     (broken / "0.npy").write_bytes(b"nothing of the kind")
     with pytest.raises(DatasetError, match=re.escape(str(broken / "0.npy"))):
         open_sequence(broken).scan(0)

@@ -6,24 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.datasets import START, Drive, bag_writer
+from samples.datasets import START, Drive, bag_writer, numbered
+from samples.io import pcd
 
 from segloc.errors import DatasetError
 from segloc.tools.datasets import open_sequence
 from segloc.tools.datasets.clocks import StreamTimes, time_unit
-from segloc.tools.io import write_scan
 from segloc.types import Float64, Scan
 
 COUNT = 6
 STEPS = 0.2 * np.arange(COUNT)
 LINE = "{} {} 0 0 0 0 0 1\n"
-
-
-def folder(path: Path, stems: list[str]) -> Path:
-    path.mkdir()
-    for k, stem in enumerate(stems):
-        write_scan(path / f"{stem}.npy", np.tile([float(k), 0.0, 0.0], (k + 1, 1)))
-    return path
 
 
 NAMES = {
@@ -43,7 +36,7 @@ NAMES = {
 @pytest.mark.parametrize("unit", [1.0, 1e9])
 def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_path: Path) -> None:
     begin = 12.0 if name == "from the start" else 1_700_000_000.0
-    scans = folder(tmp_path / "run", NAMES[name])
+    scans = numbered(tmp_path / "run", [f"{stem}.npy" for stem in NAMES[name]])
     rows = [(begin + t, 10 * t) for t in np.arange(-0.025, 1.1, 0.05)]
     texts = [f"{round(t * 1e9)}" if unit == 1e9 else f"{t:.9f}" for t, _ in rows]
     poses = tmp_path / "poses.tum"
@@ -69,7 +62,7 @@ def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_pa
 def test_numbers_that_are_no_times_stay_numbers(
     stems: list[str], indices: list[int], tmp_path: Path
 ) -> None:
-    sequence = open_sequence(folder(tmp_path / "run", stems))
+    sequence = open_sequence(numbered(tmp_path / "run", [f"{stem}.npy" for stem in stems]))
     assert sequence.indices.tolist() == indices
     assert sequence.stamps is None
 
@@ -77,7 +70,7 @@ def test_numbers_that_are_no_times_stay_numbers(
 @pytest.mark.parametrize("scale", [1.0, 1e3, 1e6, 1e9])
 def test_poses_by_time_beside_scans_without_times(scale: float, tmp_path: Path) -> None:
     """As many as there are scans are theirs in this order; others are ignored with a note."""
-    scans = folder(tmp_path / "run", [f"{k:04}" for k in range(COUNT)])
+    scans = numbered(tmp_path / "run", [f"{k:04}.npy" for k in range(COUNT)])
     poses = tmp_path / "odometry.tum"
     stamps = [float(scale * (1_700_000_000 + t)) for t in STEPS]
     poses.write_text("".join(LINE.format(repr(t), k) for k, t in enumerate(stamps)))
@@ -96,7 +89,7 @@ def test_poses_by_time_since_the_start_beside_numbered_scans(
     scale: float, whole: bool, tmp_path: Path
 ) -> None:
     """The spacing and the speed tell the unit, and that whole times are no numbers of scans."""
-    scans = folder(tmp_path / "run", [f"{k:04}" for k in range(COUNT)])
+    scans = numbered(tmp_path / "run", [f"{k:04}.npy" for k in range(COUNT)])
     stamps = [5.0 + 3.0 * k if scale == 1.0 and whole else scale * 0.2 * k for k in range(COUNT)]
     stamps = [round(t) if whole else t + 0.05 * scale for t in stamps]
     poses = tmp_path / "odometry.tum"
@@ -117,8 +110,8 @@ def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:
     assert sequence.indices.tolist() == [0, 1, 2]
     assert sequence.notes == ("imu.csv left out: no number in its name",)
     over = tmp_path / "over"
-    folder(over, [])
-    folder(over / "scans", ["1", "2"])
+    numbered(over, [])
+    numbered(over / "scans", ["1.npy", "2.npy"])
     (over / "notes.csv").write_text("battery,1\n")
     with pytest.raises(
         DatasetError, match=r"among its 1 files \(1 \.csv\); scans found in subfolders: scans"
@@ -216,16 +209,10 @@ def test_bags_and_files_know_the_same_time_fields(name: str, tmp_path: Path) -> 
         points = drive.seen(i)
         ticks = np.rint(np.linspace(0.0, 0.1, len(points)) / FIELDS[name]).astype(np.uint32)
         writer.cloud("/points", stamp, points, times=(name, "u4", ticks))
-        rows = np.zeros(len(points), [*((axis, "<f4") for axis in "xyz"), (name, "<u4")])
-        for k, axis in enumerate("xyz"):
-            rows[axis] = points[:, k]
-        rows[name] = ticks
-        header = (
-            f"FIELDS x y z {name}\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
-            f"WIDTH {len(rows)}\nHEIGHT 1\nDATA binary\n"
-        )
+        columns = [*points.T.astype("<f4"), ticks]
+        rows = np.rec.fromarrays(columns, names=["x", "y", "z", name])
         file = tmp_path / "scans" / f"{stamp + 1.7e9:.3f}.pcd"
-        file.write_bytes(header.encode() + rows.tobytes())
+        file.write_bytes(pcd(rows, "binary"))
     for path in (writer.write(tmp_path / "drive"), tmp_path / "scans"):
         recording = open_sequence(path)
         times = recording.raw(1).times

@@ -13,7 +13,6 @@ from samples.on_board import HIGH, LOW, beside, masted, with_mast
 from samples.plaza import Plaza, PlazaSequence
 from samples.real import real
 from samples.walk import Points, Poses, Walk, as_folder, in_view, run, written
-from samples.workplace import T_CAMERA_SENSOR
 from scipy.spatial.transform import Rotation
 
 from segloc import (
@@ -44,6 +43,7 @@ from segloc.tools.doctor import (
 from segloc.types import Float64, Recording, Reposed, Scan
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+T_CAMERA_SENSOR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 def turned(axis: str, degrees: float) -> Points:

@@ -27,11 +27,8 @@ def read(path: Path) -> Float64:
     return np.concatenate(list(read_cloud(path)))
 
 
-def rows(points: Float64, size: int = 8) -> np.ndarray:
-    made = np.zeros(len(points), [("red", "<f4"), *((axis, f"<f{size}") for axis in "xyz")])
-    for axis, values in zip("xyz", points.T, strict=True):
-        made[axis] = values
-    return made
+def rows(points: Float64) -> np.ndarray:
+    return np.rec.fromarrays([np.zeros(len(points), "<f4"), *points.T], names="red,x,y,z")
 
 
 @pytest.mark.parametrize("name", ["a.pcd", "b.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv"])

@@ -148,11 +148,7 @@ def test_points_that_are_not_finite_go_with_their_times(tmp_path: Path) -> None:
     points = cloud(6).astype(np.float64)
     points[[1, 4], [0, 2]] = np.nan, np.inf
     points[3, 1] = 1e300  # beyond float32
-    dtype = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("time", "<f8")])
-    rows = np.zeros(6, dtype)
-    for i, axis in enumerate("xyz"):
-        rows[axis] = points[:, i]
-    rows["time"] = np.arange(6)
+    rows = np.rec.fromarrays([*points.T, np.arange(6.0)], names="x,y,z,time")
     files = {"a.npz": io_samples.npz(points=points, times=np.arange(6.0))}
     files |= {f"{e}.pcd": io_samples.pcd(rows, e) for e in ("ascii", "binary", "binary_compressed")}
     for order in ("ascii", "binary_little_endian", "binary_big_endian"):

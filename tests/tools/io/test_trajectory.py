@@ -210,12 +210,10 @@ def written(form: str, trajectory: Trajectory) -> bytes:
         np.save(buffer, T[:, :3] if "3x4" in form else T)
         return buffer.getvalue()
     if form == "pcd":  # LIO-SAM's transformations.pcd
-        names = ("x", "y", "z", "intensity", "roll", "pitch", "yaw")
-        rows = np.zeros(len(T), [(name, "<f4") for name in names] + [("time", "<f8")])
-        for name, values in zip(
-            (*"xyz", *names[4:], "time"), [*xyz.T, *rpy.T, stamps], strict=True
-        ):
-            rows[name] = values
+        rows = np.rec.fromarrays(
+            [*np.float32(np.vstack([xyz.T, 0 * stamps, rpy.T])), stamps],
+            names="x,y,z,intensity,roll,pitch,yaw,time",
+        )
         return pcd(rows, "binary")
     if form.startswith("g2o"):
         first, step = (7, 3) if "numbers" in form else (0, 1)
