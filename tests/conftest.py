@@ -6,6 +6,7 @@ import os
 
 from hypothesis import settings
 from samples.fixtures import kitti as kitti
+from samples.fixtures import localizer as localizer
 from samples.fixtures import plaza as plaza
 from samples.fixtures import plaza_map as plaza_map
 from samples.marks import pytest_collection_modifyitems as pytest_collection_modifyitems

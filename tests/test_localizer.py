@@ -32,11 +32,6 @@ from segloc.types import Candidate, Float64, Matches, Pose
 GEO = Config.preset("geo")
 
 
-@pytest.fixture(scope="module")
-def localizer(plaza_map: SegmentMap) -> Localizer:
-    return Localizer(plaza_map)
-
-
 def pose_error(result: Localization, T: np.ndarray) -> tuple[float, float]:
     assert result.T_map_sensor is not None, result.reason
     delta = geometry.inverse(T) @ result.T_map_sensor

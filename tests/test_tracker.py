@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from samples.maps import repeated
 from samples.plaza import Plaza
+from samples.streams import T_MAP_ODOM, off_m
 
 from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.likelihood import VerificationConfig
@@ -14,7 +15,6 @@ from segloc.tracking.belief import Status
 from segloc.types import Float64
 
 ACCUMULATED = TrackerConfig(accumulate=True, every_m=5.5)
-T_MAP_ODOM = geometry.yaw_transform(1.1, (40.0, -7.0, 0.4))
 
 
 def odometry(T_map_sensor: Float64) -> Float64:
@@ -29,17 +29,14 @@ def walk(tracker: Tracker, plaza: Plaza, count: int = 5, step: float = 5.0) -> l
     return tracks
 
 
-def offset(T: Float64) -> float:
-    return float(np.linalg.norm((geometry.inverse(T_MAP_ODOM) @ T)[:3, 3]))
-
-
 def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_it(
     plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
     localizer = Localizer(plaza_map)
     tracks = walk(Tracker(localizer), plaza)
     for k, track in enumerate(tracks):
-        assert track.localized and track.views >= k + 1 and offset(track.T_map_odom) < 0.3
+        assert track.localized and track.views >= k + 1
+        assert off_m(track.T_map_odom, T_MAP_ODOM) < 0.3
     T = geometry.yaw_transform(0.0, (-12.0, 1.0, 1.8))
     alone = localizer.localize(plaza.scan(T, posed=False, seed=0))
     assert tracks[0].confidence == pytest.approx(alone.confidence)
@@ -64,7 +61,7 @@ def test_views_that_are_not_believed_alone_are_once_they_agree(
     tracker = Tracker(strict(plaza_map, (1.0 + alone) / 2.0))
     tracks = [tracker.update(points, odometry(T)) for points, T in map(scan, range(8))]
     assert not tracks[0].localized and tracks[0].reason == "no agreement yet"
-    assert tracks[-1].localized and offset(tracks[-1].T_map_odom) < 0.5
+    assert tracks[-1].localized and off_m(tracks[-1].T_map_odom, T_MAP_ODOM) < 0.5
 
 
 def test_a_robot_is_searched_by_all_it_saw_and_by_a_scan_in_turns_until_its_place_is_known(
@@ -89,7 +86,7 @@ def test_a_robot_is_searched_by_all_it_saw_and_by_a_scan_in_turns_until_its_plac
 
     counts, tracks = asked(Localizer(plaza_map))
     assert set(counts) == {1} and tracks[-1].views >= 3
-    assert all(track.localized and offset(track.T_map_odom) < 0.3 for track in tracks)
+    assert all(track.localized and off_m(track.T_map_odom, T_MAP_ODOM) < 0.3 for track in tracks)
     counts, tracks = asked(strict(plaza_map, 1.0))
     several = [n for n in counts if n > 1]
     assert [n > 1 for n in counts[1:]] == [k % 2 == 1 for k in range(len(counts) - 1)]

@@ -28,6 +28,8 @@ VERSION = found(r'^version = "(.+)"$', PROJECT)
         ("CITATION.cff", r"^version: (.+)$"),
         ("packaging/conda/recipe.yaml", r"^  version: (.+)$"),
         (".zenodo.json", r'"version": "(.+)"'),
+        *((str(file), "<version>(.+)<") for file in ROOT.glob("ros2/*/package.xml")),
+        *((str(file), 'version="(.+?)"') for file in ROOT.glob("ros2/*/setup.py")),
     ],
 )
 def test_one_version_everywhere(file: str, pattern: str) -> None:

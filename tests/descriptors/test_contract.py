@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from samples.segments import packed
+from samples.segments import objects, packed
 
 from segloc import geometry
 from segloc.descriptors import Descriptor, available, create
@@ -13,23 +13,6 @@ from segloc.types import Segments
 
 FRAME_BOUND = {"segmatch-eigen-ethz"}
 """Descriptors that see the axes of the frame, by their definition."""
-
-
-def objects(count: int = 12, seed: int = 0) -> list[np.ndarray]:
-    """Leaning boxes' surfaces of various sizes, on a grid of 1/256 m: sums are then exact."""
-    rng = np.random.default_rng(seed)
-    clouds = []
-    for _ in range(count):
-        n = int(rng.integers(30, 500))
-        shell = rng.uniform(-1, 1, (n, 3))
-        shell[np.arange(n), rng.integers(0, 2, n)] = rng.choice([-1, 1], n, p=[0.3, 0.7])
-        box = shell * rng.uniform([0.8, 0.2, 0.5], [4, 0.7, 2.5])
-        box[:, 1] += 0.15 * box[:, 2]
-        placed = geometry.transform(
-            geometry.yaw_transform(rng.uniform(0, 6), tuple(rng.uniform(-30, 30, 3))), box
-        )
-        clouds.append(np.round(placed * 256) / 256)
-    return clouds
 
 
 def separation(vectors: np.ndarray) -> float:

@@ -126,9 +126,6 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     refused("expected int32")
     del stored["roots"]
     refused("roots")
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(WeightsError, match=str(path)):
-        PairForest.load(path, Plain())
 
 
 def test_training_learns_and_repeats(tmp_path: Path) -> None:

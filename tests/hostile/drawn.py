@@ -221,14 +221,15 @@ def _fix(draw: Draw) -> Any:
 
 def write_bag(data: bytes, folder: Path) -> Path:
     """Write a bag of a drawn layout: kind, topics, messages, and what is missing of its files."""
-    from samples.bags import BagWriter
+    from samples.bags import PACKING, BagWriter
 
     draw = Draw(data)
     kind = draw.of(("ros1", "sqlite3", "mcap"))
     writer = BagWriter(kind)
     while draw and len(writer.messages) < 24:
         _add(draw, writer)
-    path = writer.write(folder / "drawn", compress=kind != "mcap" and not draw.below(4))
+    packed = kind != "mcap" and not draw.below(4)
+    path = writer.write(folder / "drawn", PACKING[kind] if packed else "")
     files = [path] if path.is_file() else sorted(path.iterdir())
     harm = draw.below(6)
     if harm == 1 and path.is_dir():

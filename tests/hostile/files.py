@@ -42,15 +42,6 @@ class Hostile:
         return made if isinstance(made, Path) else path
 
 
-@dataclass(frozen=True)
-class Command:
-    """Arguments of the command line, made in a folder, and the error that they end in, if any."""
-
-    name: str
-    make: Callable[[Path], list[str]]
-    expected: str
-
-
 HOSTILE: list[Hostile] = []
 
 
@@ -237,6 +228,7 @@ add("config", "number.yaml", b"seed: 0x\nthreads: 1:99:99:99\n", "yaml")
 add("config", "python.yaml", b"method: !!python/object/apply:os.abort []\n", "not YAML")
 add("config", "keys.yaml", b"1: 2\n? [a, b]\n: c\n", "yaml")
 add("config", "key.yaml", b"1: 2\n", "yaml")
+add("config", "rows.yaml", b"- 1\n", "mapping")
 add("config", "list.yaml", b"method: [1, 2]\npose: 3\n", "method|descriptor")
 add("config", "bytes.yaml", b"\xff\xfe\0\0", "cannot be read")
 add("config", "control.yaml", b"a: \x01\n", "not YAML")
@@ -315,30 +307,13 @@ def bag(kind: str, packing: str, size: int, *, count: int = 1) -> Callable[[Path
     """Clouds of zeros in a bag that packs them well."""
 
     def make(path: Path) -> None:
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-        from samples.bags import CLOUD, BagWriter
+        from samples.bags import BagWriter
 
         samples = BagWriter(kind)
         for k in range(count):
-            samples.cloud("/points", START + k, np.ones((size // 16, 3)) if count > 1 else
-                          np.zeros((size // 16, 3)))  # fmt: skip
-        writer: Any
-        if kind == "ros1":
-            writer = Writer1(path)
-            if packing:
-                writer.set_compression(Writer1.CompressionFormat[packing])
-        else:
-            plugin = StoragePlugin.SQLITE3 if kind == "sqlite3" else StoragePlugin.MCAP
-            writer = Writer2(path, version=9, storage_plugin=plugin)
-            if packing:
-                writer.set_compression(CompressionMode[packing], CompressionFormat.ZSTD)
-        write = samples.store.serialize_ros1 if kind == "ros1" else samples.store.serialize_cdr
-        with writer:
-            topic = writer.add_connection("/points", CLOUD, typestore=samples.store)
-            for time, _, name, message in samples.messages:
-                writer.write(topic, time, write(message, name))
+            points = np.full((size // 16, 3), float(count > 1))
+            samples.cloud("/points", START + k, points)
+        samples.write(path, packing)
 
     return make
 
@@ -360,19 +335,13 @@ def imu(first: bytes) -> Callable[[Path], object]:
     """A bag with a cloud, and messages of an IMU that begin like this."""
 
     def make(path: Path) -> None:
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-        from samples.bags import CLOUD, IMU, BagWriter
+        from samples.bags import IMU, BagWriter
 
         samples = BagWriter("sqlite3")
         samples.cloud("/points", START, np.ones((9, 3)))
-        time, _, _, cloud = samples.messages[0]
-        with Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-            points = writer.add_connection("/points", CLOUD, typestore=samples.store)
-            felt = writer.add_connection("/imu", IMU, typestore=samples.store)
-            writer.write(points, time, samples.store.serialize_cdr(cloud, CLOUD))
-            for k in range(9):
-                writer.write(felt, time + k, first)
+        time = samples.messages[0][0]
+        samples.messages += [(time + k, "/imu", IMU, first) for k in range(9)]
+        samples.write(path)
 
     return make
 
@@ -636,30 +605,3 @@ add(
     lambda path: path.write_bytes(PCAP + b"\xff" * 9000),
     "no Velodyne turn",
 )
-
-
-# --- the command line -----------------------------------------------------------------------------
-
-
-def folder_of_scans(path: Path) -> list[str]:
-    path.mkdir()
-    rng = np.random.default_rng(0)
-    for k in range(3):
-        (path / f"{k}.bin").write_bytes(rng.normal(size=(200, 4)).astype("<f4").tobytes())
-    return [str(path)]
-
-
-def build(poses: bytes, *options: str) -> Callable[[Path], list[str]]:
-    def make(folder: Path) -> list[str]:
-        (folder / "poses.tum").write_bytes(poses)
-        scans = folder_of_scans(folder / "run")
-        out = ["--out", str(folder / "a.segmap")]
-        return ["map", "build", *scans, "--poses", str(folder / "poses.tum"), *out, *options]
-
-    return make
-
-
-COMMANDS = [
-    Command("a pose far off", build(tum(0, 1, 1e12)), r"poses\.tum: line 3: a position beyond"),
-    Command("stops at every atom", build(tum(0, 1, 2), "--every", "1e-9"), ""),
-]

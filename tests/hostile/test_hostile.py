@@ -13,10 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
-from samples.walk import run
 
 from hostile import files
-from hostile.files import Command, Hostile
+from hostile.files import Hostile
 
 pytestmark = [
     pytest.mark.fuzz,
@@ -121,20 +120,3 @@ def test_drawn_messages_and_bags(tmp_path: Path) -> None:
     broken = {name: text for name, (what, text) in open_all(listed, tmp_path).items()
               if what == "broken"}  # fmt: skip
     assert not broken, broken
-
-
-@pytest.mark.parametrize("item", files.COMMANDS, ids=lambda item: item.name)
-def test_what_the_command_line_says(
-    item: Command,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setenv("SEGLOC_MAX_POINTS", str(files.MAX_POINTS))
-    status, output = run(*item.make(tmp_path)), capsys.readouterr().err
-    lines = [line for line in output.splitlines() if "segloc: note" not in line]
-    assert status == bool(item.expected), output
-    if not item.expected:
-        return
-    assert len(lines) == 1 and lines[0].startswith("segloc: error: "), output
-    assert re.search(item.expected, lines[0]), lines[0]

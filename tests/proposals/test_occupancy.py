@@ -29,11 +29,6 @@ def test_free_cells_are_ground_with_nothing_beside_it() -> None:
     assert [len(part) for part in free_cells(ground[:0], standing, config)] == [0, 0]
 
 
-@pytest.fixture(scope="module")
-def localizer(plaza_map: SegmentMap) -> Localizer:
-    return Localizer(plaza_map)
-
-
 def near(T: Pose, truth: Pose, metres: float = 2.0, degrees: float = 10.0) -> bool:
     delta = geometry.inverse(truth) @ T
     turned = math.degrees(geometry.rotation_angle(delta))

@@ -64,14 +64,6 @@ def test_the_message_of_the_state_has_the_constants_of_the_core() -> None:
     assert constants == expected | {f"TF_{each.name}": each.value for each in TfState}
 
 
-def test_packages_have_the_version_of_the_product() -> None:
-    project = (PROJECT / "pyproject.toml").read_text("utf-8")
-    (version,) = re.findall('^version = "(.*)"', project, re.MULTILINE)
-    for file in (*ROS2.glob("*/package.xml"), *ROS2.glob("*/setup.py")):
-        found = re.search('<version>(.*)<|version="([0-9].*)",', file.read_text("utf-8"))
-        assert version in found.groups(), file
-
-
 def test_wrong_parameters_are_named() -> None:
     for values in ({"mode": "odom"}, {"tf_rate_hz": 0.0}, {"speed": 1}, {"map_frame": "/"}):
         with pytest.raises(ConfigError, match=next(iter(values))):

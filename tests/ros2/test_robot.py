@@ -248,17 +248,6 @@ def test_a_cloud_without_odometry_has_no_pose(localizer: Localizer, plaza: Plaza
     assert not listener.of_kind(PoseReply)
 
 
-@pytest.mark.slow
-def test_a_kidnapped_robot_is_told_anew(localizer: Localizer, plaza: Plaza) -> None:
-    listener = Listener.mounted(localizer)
-    listener.walk(plaza, 8)
-    carried = geometry.yaw_transform(2.5, (3.0, -24.0, 0.0))
-    truth = listener.walk(plaza, 20, begin=(2.0, 1.0), start_s=108.0, carried=carried, step=1.0)
-    first, *_, last = listener.of_kind(InitialPose)
-    assert first is not last and off_m(last.pose.T_map_base, truth) < 25.0
-    assert listener.off(truth) < 0.5
-
-
 def fix(xyz: tuple[float, float, float], sigma_m: float) -> Any:
     """sensor_msgs/NavSatFix at a position of the georeferenced map."""
     longitude, latitude, altitude = HERE.on_globe(np.array([xyz]))[0]

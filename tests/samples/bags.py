@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from segloc.types import Float64
 
 KINDS = ("ros1", "sqlite3", "mcap")
+PACKING = {"ros1": "LZ4", "sqlite3": "FILE", "mcap": "FILE"}
 LASER = "sensor_msgs/msg/LaserScan"
 LIVOX_POINT = """
 uint32 offset_time
@@ -233,31 +234,26 @@ class BagWriter:
         )  # fmt: skip
         self.add(topic, TF, stamp, self.make(TF, transforms=[entry]))
 
-    def write(self, path: Path, *, compress: bool = False) -> Path:
-        """Write ``path``.bag, or the folder ``path``."""
+    def write(self, path: Path, packing: str = "") -> Path:
+        """Write ``path``.bag, or the folder ``path``, packed as rosbags calls it."""
         self.messages.sort(key=lambda item: item[0])
+        writer: Any
         if self.kind == "ros1":
-            return self._write1(path.with_suffix(".bag"), compress)
-        plugin = StoragePlugin.SQLITE3 if self.kind == "sqlite3" else StoragePlugin.MCAP
-        writer = Writer2(path, version=9, storage_plugin=plugin)
-        if compress:
-            writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+            path = path.with_suffix(".bag")
+            writer, write = Writer1(path), self.store.serialize_ros1
+            if packing:
+                writer.set_compression(Writer1.CompressionFormat[packing])
+        else:
+            plugin = StoragePlugin.SQLITE3 if self.kind == "sqlite3" else StoragePlugin.MCAP
+            writer = Writer2(path, version=9, storage_plugin=plugin)
+            write = self.store.serialize_cdr
+            if packing:
+                writer.set_compression(CompressionMode[packing], CompressionFormat.ZSTD)
+        topics: dict[str, Any] = {}
         with writer:
-            topics: dict[str, Any] = {}
             for time, topic, kind, message in self.messages:
                 if topic not in topics:
                     topics[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                writer.write(topics[topic], time, self.store.serialize_cdr(message, kind))
-        return path
-
-    def _write1(self, path: Path, compress: bool) -> Path:
-        writer = Writer1(path)
-        if compress:
-            writer.set_compression(Writer1.CompressionFormat.LZ4)
-        with writer:
-            topics: dict[str, Any] = {}
-            for time, topic, kind, message in self.messages:
-                if topic not in topics:
-                    topics[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                writer.write(topics[topic], time, self.store.serialize_ros1(message, kind))
+                data = message if isinstance(message, bytes) else write(message, kind)
+                writer.write(topics[topic], time, data)
         return path

@@ -391,21 +391,17 @@ def calls(name: str) -> dict[str, Call]:
 
 def _arrays(array: np.ndarray) -> Iterator[tuple[str, Any]]:
     """The same array in ways that are wrong, or only unusual."""
-    if array.dtype.kind == "f":
-        for value in VALUES:
-            one = array.copy()
-            one.flat[one.size // 2] = value
-            yield f"one value {value}", one
-            yield f"all values {value}", np.full_like(array, value)
-    else:
-        lowest, highest = np.iinfo(array.dtype).min, np.iinfo(array.dtype).max
-        for value in (lowest, -1, 0, 1, 10**6, highest):
-            if not lowest <= value <= highest:
-                continue
-            one = array.copy()
-            one.flat[one.size // 2] = value
-            yield f"one value {value}", one
-            yield f"all values {value}", np.full_like(array, value)
+    is_float, values = array.dtype.kind == "f", VALUES
+    if not is_float:
+        limits = np.iinfo(array.dtype)
+        every = (limits.min, -1, 0, 1, 10**6, limits.max)
+        values = tuple(value for value in every if limits.min <= value <= limits.max)
+    for value in values:
+        one = array.copy()
+        one.flat[one.size // 2] = value
+        yield f"one value {value}", one
+        yield f"all values {value}", np.full_like(array, value)
+    if not is_float:
         yield "falling", array[::-1].copy()
     frozen = array.copy()
     frozen.flags.writeable = False

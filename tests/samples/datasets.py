@@ -104,6 +104,19 @@ def numbered(folder: Path, names: list[str]) -> Path:
     return made(folder)
 
 
+def write_pcap(
+    path: Path, frames: list[tuple[float, bytes]], order: str = "<", unit: int = 10**6
+) -> Path:
+    """A capture of frames by their stamps, in libpcap's format."""
+    magic = 0xA1B2C3D4 if unit == 10**6 else 0xA1B23C4D
+    content = struct.pack(f"{order}IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
+    for stamp, frame in frames:
+        seconds, rest = divmod(round(stamp * unit), unit)
+        content += struct.pack(f"{order}IIII", seconds, rest, len(frame), len(frame)) + frame
+    path.write_bytes(content)
+    return path
+
+
 def float_rows(points: Float64, *columns: Float64) -> bytes:
     return np.column_stack([points, *columns]).astype("<f4").tobytes()
 

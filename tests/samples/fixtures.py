@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from segloc import Config, SegmentMap, build_map
+from segloc import Config, Localizer, SegmentMap, build_map
 
 from .plaza import Plaza, PlazaSequence
 from .real import real
@@ -30,3 +30,9 @@ def plaza_map(plaza: Plaza) -> SegmentMap:
     """A map of the plaza by ``geo``; tests that change it copy it first."""
     config = Config.preset("geo").model_copy(update={"threads": 1})
     return build_map(PlazaSequence(plaza), config)
+
+
+@pytest.fixture(scope="session")
+def localizer(plaza_map: SegmentMap) -> Localizer:
+    """In that map."""
+    return Localizer(plaza_map)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from samples.datasets import START
+from samples.datasets import START, write_pcap
 from segloc.types import Float64
 
 PIXELS = {
@@ -154,16 +154,13 @@ def capture(
     imu: bytes = bytes(48),
 ) -> Path:
     """A capture of datagrams, among those that an IMU sends."""
-    content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    stamped = []
     for number, (stamp, data) in enumerate(sent):
         frames = ip_packets(data, 2 * number, port, mtu)
         if number % 10 == 0:
             frames[1:1] = ip_packets(imu, 2 * number + 1, port + 1)
-        for frame in frames:
-            seconds, rest = divmod(round(stamp * 1e6), 10**6)
-            content += struct.pack("<IIII", seconds, rest, len(frame), len(frame)) + frame
-    path.write_bytes(content)
-    return path
+        stamped += [(stamp, frame) for frame in frames]
+    return write_pcap(path, stamped)
 
 
 def recorded(path: Path, sensor: Ouster, turns: int, layout: str = "new", **options: int) -> Path:

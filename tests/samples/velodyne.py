@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from samples.datasets import START
+from samples.datasets import START, write_pcap
 
 FIRING_US = 55.296  # of the VLP-16: a sequence of 16 lasers; two in a block, 12 blocks in a packet
 LASERS_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
@@ -32,11 +32,5 @@ def packets(turns: float, product: int = 0x22) -> list[tuple[float, bytes]]:
 def capture(
     path: Path, sent: list[tuple[float, bytes]], order: str = "<", unit: int = 10**6
 ) -> Path:
-    magic = 0xA1B2C3D4 if unit == 10**6 else 0xA1B23C4D
-    content = struct.pack(f"{order}IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
-    for stamp, data in sent:
-        frame = bytes(42) + data  # headers of Ethernet, IP and UDP
-        seconds, rest = divmod(round(stamp * unit), unit)
-        content += struct.pack(f"{order}IIII", seconds, rest, len(frame), len(frame)) + frame
-    path.write_bytes(content)
-    return path
+    frames = [(stamp, bytes(42) + data) for stamp, data in sent]  # Ethernet, IP and UDP before it
+    return write_pcap(path, frames, order, unit)

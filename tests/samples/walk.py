@@ -92,10 +92,3 @@ class Site(NamedTuple):
 
     run: Path
     map: Path
-
-
-def walked_site(root: Path) -> Site:
-    """A walk in a folder, and its map beside it."""
-    folder, file = written(root / "run", most=ALL), root / "site.segmap"
-    assert run("map", "build", folder, "--poses", "poses.tum", "--out", file) == 0
-    return Site(folder, file)

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from segloc import geometry
 from segloc.localization import Localization, Localized, NotLocalized, Place, Reason
 from segloc.map.segment_map import SegmentMap
 from segloc.tools.batch.picture import draw, draw_errors
@@ -32,10 +33,7 @@ from segloc.types import Descriptors
 
 
 def pose(x: float, y: float = 0.0, z: float = 0.0, yaw_deg: float = 0.0) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
-    T[:3, 3] = x, y, z
-    return T
+    return geometry.yaw_transform(math.radians(yaw_deg), (x, y, z))
 
 
 def line(xs: Sequence[float]) -> np.ndarray:

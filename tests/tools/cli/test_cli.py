@@ -7,7 +7,6 @@ import os
 import platform
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -331,17 +330,8 @@ def test_configurations_that_cannot_be_used(
 ) -> None:
     build = ["map", "build", toy.run_1, "--poses", "poses.tum", "--out", tmp_path / "out.segmap"]
     refused("no method 'best'", *build, "--method", "best")
-    path = tmp_path / "bad.yaml"
-    for text, match in [
-        ("a: [", "not YAML"),
-        ("- 1", "mapping"),
-        ("speed: 1", "speed"),
-        ("pose: {min_edge: -1}", "min_edge"),
-        ("pose: fast", "pose"),
-        ("\0", "bad.yaml"),
-    ]:
-        path.write_text(text)
-        refused(match, *build, "--config", path)
+    (tmp_path / "bad.yaml").write_text("speed: 1")
+    refused("speed", *build, "--config", tmp_path / "bad.yaml")
     refused("none.yaml", *build, "--config", tmp_path / "none.yaml")
 
 
@@ -405,20 +395,3 @@ def test_an_interrupted_import_is_an_interrupt(
     monkeypatch.setattr(SegmentMap, "load", half_imported)
     assert run("map", "info", "x.segmap") == 130
     assert capsys.readouterr().err == "segloc: interrupted\n"
-
-
-@pytest.mark.slow
-def test_interrupting_is_clean(toy: Toy, tmp_path: Path) -> None:
-    arguments = ["localize", str(toy.run_2), "--map", str(toy.map), "--out", str(tmp_path / "out")]
-    code = (
-        "import signal, sys; from segloc import localizer; from segloc.tools import cli\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "def stop(*_, **__): signal.raise_signal(signal.SIGINT)\n"
-        "localizer.Localizer.locate = stop\n"
-        "cli.main()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 130 and "Traceback" not in done.stderr
-    assert not (tmp_path / "out").exists()

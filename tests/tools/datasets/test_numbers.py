@@ -164,36 +164,6 @@ def test_the_unit_of_point_times(name: str) -> None:
     assert unit.since_1970 == (unit.known and "epoch" in name)
 
 
-@pytest.mark.parametrize(
-    ("field", "scale", "expected"),
-    [
-        (("time", "f4"), 1.0, ""),
-        (("t", "u4"), 1e9, ""),
-        (("t", "u4"), 1e6, "multiplied by 1000"),
-        (("time", "f4"), 10.0, "fractions of a turn of 0.1 s"),
-        (("timestamp", "f8"), -1.0, ""),
-        (("timestamp", "f4"), -1.0, "float32"),
-    ],
-)
-def test_bags_are_deskewed_whatever_the_unit(
-    field: tuple[str, str], scale: float, expected: str, tmp_path: Path
-) -> None:
-    drive, writer = Drive.make(COUNT), bag_writer("sqlite3")
-    for i, stamp in enumerate(drive.stamps):
-        spread = np.linspace(0.0, 0.1, len(drive.seen(i)))
-        times = stamp + spread if scale < 0 else scale * spread
-        writer.cloud("/points", stamp, drive.seen(i), times=(*field, times))
-        writer.odometry("/odom", stamp, drive.poses[i], "lidar")
-    sequence = open_sequence(writer.write(tmp_path / "drive"))
-    assert [expected in note for note in sequence.notes] == [True] * bool(expected)
-    times = sequence.raw(1).times
-    if expected == "float32":
-        assert times is None
-    else:
-        np.testing.assert_allclose(times, np.linspace(0, 0.1, len(times)), atol=1e-5)
-        assert not np.allclose(sequence.scan(1).points, sequence.raw(1).points, atol=1e-3)
-
-
 FIELDS = {
     "t": 1e-9, "offset_time": 1e-9, "time_offset_ns": 1e-9, "timeOffsetNs": 1e-9,
     "point_time_offset": 1e-9, "time_us": 1e-6, "t_ms": 1e-3, "scalar_Time": 1e-9,

@@ -13,7 +13,7 @@ pytest.importorskip("embreex", reason="the simulator needs segloc-lab")
 pytest.importorskip("rosbags")
 pytest.importorskip("kiss_icp")
 
-from samples.bags import KINDS, BagWriter
+from samples.bags import BagWriter
 from samples.datasets import START, Drive, kitti
 from samples.real import real
 from samples.walk import run
@@ -44,15 +44,13 @@ class Simulated:
     folder: Path
     drive: SimulatedSequence
 
-    def bag(self, kind: str, root: Path, *, posed: bool = True) -> Path:
+    def bag(self, kind: str, root: Path) -> Path:
         """Its scans in a bag, at the same times since START."""
         bag = BagWriter(kind)
         recording = open_sequence(self.folder, self.folder / "poses.tum", deskew=False)
         for i, stamp in enumerate(START + self.drive.stamps):
             scan = recording.scan(i)
             bag.cloud("/points", stamp, scan.points, times=("time", "f8", scan.times))
-            if posed:
-                bag.odometry("/odom", stamp, self.drive.truth[i], "lidar")
         return bag.write(root / kind)
 
 
@@ -68,24 +66,9 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_gives_the_same_clouds_as_its_folder(
-    kind: str, simulated: Simulated, tmp_path: Path
-) -> None:
-    folder = open_sequence(simulated.folder, "poses.tum")
-    bag = open_sequence(simulated.bag(kind, tmp_path))
-    assert len(bag) == len(folder) == len(simulated.drive)
-    np.testing.assert_allclose(bag.poses, folder.poses, atol=1e-4)
-    for i in (0, 17, len(bag) - 2):
-        ours, theirs = bag.scan(i), folder.scan(i)
-        assert ours.times is theirs.times is None  # de-skewed
-        np.testing.assert_allclose(ours.points, theirs.points, atol=1e-3)
-
-
-@pytest.mark.slow
 def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
     """Times of points are used; stamps of poses are where they hold, the scans' ends."""
-    bag = open_sequence(simulated.bag("sqlite3", tmp_path, posed=False))
+    bag = open_sequence(simulated.bag("sqlite3", tmp_path))
     assert bag.poses is None
     calls: list[tuple[int, int]] = []
     trajectory = lidar_odometry(bag, progress=lambda done, total: calls.append((done, total)))
@@ -112,7 +95,7 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
 def test_verbs_take_a_bag_without_poses(
     simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = simulated.bag("ros1", tmp_path, posed=False)
+    path = simulated.bag("ros1", tmp_path)
     prior_map = tmp_path / "site.segmap"
     assert run("map", "build", path, "--out", prior_map) == 1
     output = capsys.readouterr().err

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from samples.datasets import START, Drive
+from samples.datasets import START, Drive, write_pcap
 from samples.ouster import (
     COLUMNS,
     PIXELS,
@@ -197,11 +196,7 @@ def test_datagrams_that_are_broken(tmp_path: Path) -> None:
     others = ip_packets(content, 2)
     stream = [frames[2], others[0], frames[0], frames[0], others[1], frames[3], frames[1]]
     stream += [b"", bytes(14), frames[0][:30], ip_packets(b"", 3)[0][:-4]]
-    head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
-    path = tmp_path / "a.pcap"
-    path.write_bytes(
-        head + b"".join(struct.pack("<IIII", 0, 0, len(f), len(f)) + f for f in stream)
-    )
+    path = write_pcap(tmp_path / "a.pcap", [(0.0, frame) for frame in stream])
     with map_file(path) as data:
         found = [(d.port, d.content(data)) for d in datagrams(data)]
     assert found == [(7502, content)]
