@@ -283,7 +283,8 @@ def table(answers: list[dict[str, Any]]) -> Table:
     """Count the answers, by site, map and set of scans."""
     columns = ("site", "cloud", "viewpoints", "m to the next", "scans", "right pose measured")
     rows = []
-    for each in answers:
+    places = {name: k for k, name in enumerate((*SITES, *MAPS))}
+    for each in sorted(answers, key=lambda e: (places[e["site"]], places[e["map"]])):
         outcomes = [row["outcome"] for row in each["rows"]]
         count, own = len(outcomes), each["scans"] == OWN
         right = f"{sum(row['right'] for row in each['rows'])} of {count}" if own else "-"
