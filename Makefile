@@ -61,7 +61,7 @@ endef
 # What test-lowest and test-newest run: all, or paths, or TESTS=smoke, for which a minute is enough.
 TESTS ?= tests
 SMOKE := tests/test_localizer.py tests/proposals/test_pose.py tests/proposals/test_matching.py tests/frontend/test_segmentation.py \
-  tests/map/test_file.py tests/tools/io tests/descriptors tests/tools/datasets/ros
+  tests/map/test_file.py tests/tools/io tests/tools/cli/test_help.py tests/descriptors tests/tools/datasets/ros
 
 test-lowest: ## Run the quick tests with Python 3.10 and the lowest versions of all dependencies.
 	mkdir -p build

@@ -161,7 +161,8 @@ def _draw_refused(axes: Axes, evaluation: Evaluation) -> None:
 
 def _reasons(evaluation: Evaluation) -> Iterable[tuple[str, Bools]]:
     """Yield each reason with its queries, the most frequent first."""
-    text = np.array(["" if r.reason is None else r.reason.value for r in evaluation.results])
+    reasons = ["" if r.reason is None else r.reason.value for r in evaluation.results]
+    text = np.array(reasons, dtype=np.str_)
     names, counts = np.unique(text[text != ""], return_counts=True)
     order = np.lexsort((names, -counts))
     return [(str(names[k]), text == names[k]) for k in order]
