@@ -3,8 +3,8 @@ r"""Finished clouds as they come: without ground, thinned, tilted, bent, older t
 DATA has `utd_grand_loop`: a cloud of streets and parks without ground, scans of months later
 without theirs, and poses of those that were registered to it. Clouds of recordings stand beside it:
 the corridor, whose way back is localized; a session of the lab, for those of other days; KITTI 00,
-for a pass the other way; and simulated courtyards with trees, each mapped by three robots, whose
-poses lean and drift, for another season's drive of a fourth. Each scan is localized in a map of the
+for another pass; and simulated courtyards with trees, each mapped by three robots whose poses lean
+and drift, for a later drive of a fourth. Each scan is localized in a map of the
 cloud as it is, thinned, tilted and levelled by `--level`, bent, leaning, or without ground, with
 viewpoints that are chosen or are the poses of the scans (an upper bound of what a trajectory
 brings), and in the map of the recording, with its true poses. Beside the answers: whether a right
@@ -45,8 +45,8 @@ from ..report import Table, earlier, keep, publish, reporting, share
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from . import real
 
-CAMPUS, KITTI, COURT = "campus", "kitti", "courtyard"
-COURTS = {f"{COURT} {seed}": seed for seed in range(73_000, 73_004)}
+CAMPUS, KITTI = "campus", "kitti"
+COURTS = {f"courtyard {seed}": seed for seed in range(73_000, 73_004)}
 """Seeds in which nothing was chosen."""
 SITES = (CAMPUS, "corridor", "lab", KITTI, *COURTS)
 PLAIN, TRAJECTORY, CUT, BENT = "as it is", "with --trajectory", "without ground", "bent by 1 m"
@@ -66,7 +66,7 @@ LEAN_DEG = 6.0
 """Slope of the ends of a cloud that leans, along x."""
 ROBOTS = ("hdl64e", "os1-64", "vlp16")
 DRIFT_M, DRIFT_DEG = 0.3, 1.0
-"""Largest errors of the poses of each robot, in the middle of its way."""
+"""Standard deviations of the poses of a robot in the middle of its way."""
 OWN, OTHERS = "of the place", "of other places"
 NEAR_M = 3.0
 EVERY = 20
@@ -239,12 +239,10 @@ class Study:
         site = site_of(place, self._data)
         for name, scans in asked:
             prior_map = self._map(place, site, name)
-            localizer, truths = (
-                Localizer(prior_map, Config(threads=1)),
-                site.truths_in(name, prior_map),
-            )
-            of = zip(site.scans, truths, strict=True) if scans == OWN else None
-            pairs = of or ((scan, None) for scan in others(self._data))
+            localizer = Localizer(prior_map, Config(threads=1))
+            truths = site.truths_in(name, prior_map)
+            own = zip(site.scans, truths, strict=True) if scans == OWN else None
+            pairs = own or ((scan, None) for scan in others(self._data))
             rows = [_localized(localizer, scan, truth) for scan, truth in pairs]
             where = truths[:, :2, 3]
             gap = float(np.median(cKDTree(prior_map.trajectory[:, :2, 3]).query(where)[0]))
