@@ -112,9 +112,15 @@ class Localizer:
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
-        given: dict[str, Any] = {"estimator": estimator, "proposers": proposers}
-        given |= {"likelihood": likelihood, "clock": clock}
-        self._again = partial(Localizer, prior_map, config, **given)
+        self._again = partial(
+            Localizer,
+            prior_map,
+            config,
+            estimator=estimator,
+            proposers=proposers,
+            likelihood=likelihood,
+            clock=clock,
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the map and the configuration; unpickling builds a new localizer."""

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from segloc import geometry
 from segloc.system.files import replacing
 from segloc.tools.io import read_scan
-from segloc.types import Derived, Float64, Pose, Recording, Scan, stamp_at
+from segloc.types import Derived, Float64, Int64, Pose, Recording, Scan, stamp_at
 
 from .kitti00 import poses_of
 from .simulation import SimulatedSequence
@@ -179,6 +179,18 @@ def posed(recording: Recording) -> Iterator[Float64]:
     """Yield the points of each scan in the frame of the recording's poses, (N, 3)."""
     for i, T in enumerate(poses_of(recording)):
         yield geometry.transform(T, recording.scan(i).points)
+
+
+def with_poses(recording: Recording) -> Iterator[Scan]:
+    """Yield each scan with its pose, as one without the others."""
+    for i, T in enumerate(poses_of(recording)):
+        yield Scan(recording.scan(i).points, T_odom_sensor=T)
+
+
+def one_a_voxel(points: Float64, metres: float) -> Float64:
+    """Return one point of a cloud, (N, 3), in each voxel."""
+    first: Int64 = np.unique(np.floor(points / metres), axis=0, return_index=True)[1]
+    return points.take(first, axis=0)
 
 
 class Files:

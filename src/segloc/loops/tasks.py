@@ -242,7 +242,7 @@ class SubmapStore:
         """Store a submap."""
         file = BytesIO()
         np.savez(file, allow_pickle=False, **_arrays_of(submap))
-        write_bytes(self._submap(number), file.getvalue(), sweep=False)
+        write_bytes(self._submap(number), file.getbuffer(), sweep=False)
 
     def __getitem__(self, number: int, /) -> Submap:
         return _read_submap(self._submap(number))

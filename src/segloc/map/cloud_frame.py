@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +139,11 @@ _LOW, _LOWEST = 0.5, 0.35  # extent along the vertical, as a share of that along
 _MIN_LOWS, _MAX_LAND_SPREAD_DEG = 50, 1.0  # lowest points that show how land lies, of both halves
 
 
+def is_tilted(tilt: Tilt | None) -> TypeGuard[Tilt]:
+    """Return whether a frame is clearly not level."""
+    return tilt is not None and tilt.is_significant and tilt.tilt_deg > MAX_TILT_DEG
+
+
 @dataclass(frozen=True)
 class _Direction:
     """A direction that may be the vertical of a cloud.
@@ -166,8 +172,7 @@ class _Direction:
     @property
     def is_tilted(self) -> bool:
         """Whether the direction is clearly not the axis."""
-        tilt = self.tilt
-        return tilt is not None and tilt.is_significant and tilt.tilt_deg > MAX_TILT_DEG
+        return is_tilted(self.tilt)
 
     def is_rather_up(self, z: _Direction, third: _Direction) -> bool:
         """Return whether this is clearly the vertical, and not the direction near z.
@@ -203,14 +208,13 @@ class CloudFrame:
 
     def require_up(self) -> None:
         """Refuse a cloud whose z axis is clearly not up, by a :class:`DatasetError`."""
-        tilt = self.tilt
         if self.fault:
             remedy = UNCHECKED if self.T_level_cloud is None else f"{LEVEL}, {UNCHECKED}"
             raise DatasetError(f"{self.fault}; {remedy}")
-        if tilt is not None and tilt.is_significant and tilt.tilt_deg > MAX_TILT_DEG:
+        if is_tilted(self.tilt):
             raise DatasetError(
-                f"the cloud is tilted by {tilt.tilt_deg:.1f} degrees, as its walls show, more than "
-                f"{MAX_TILT_DEG:g}: {LEVEL}, {UNCHECKED}"
+                f"the cloud is tilted by {self.tilt.tilt_deg:.1f} degrees, as its walls show, more "
+                f"than {MAX_TILT_DEG:g}: {LEVEL}, {UNCHECKED}"
             )
 
 
@@ -256,9 +260,10 @@ def _land_tilt(lows: Float64) -> Tilt | None:
 def _upright_to(points: Float64) -> Float64:
     """Return the unit vector normal to the plane of points (N, 3), of which some lie above."""
     x, y, z = (points - np.median(points, axis=0)).T
+    level = np.stack([x, y, np.ones_like(x)])
 
     def above(plane: Float64) -> Float64:
-        return np.asarray(z - plane @ np.stack([x, y, np.ones_like(x)]))
+        return np.asarray(z - plane @ level)
 
     east, north, _ = least_squares(above, np.zeros(3), loss="soft_l1").x
     up = np.array([-east, -north, 1.0])

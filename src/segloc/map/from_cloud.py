@@ -26,11 +26,11 @@ from ..types import Bools, Float32, Float64, LocalCloud, Pose
 from .build import View, add_view, empty_map, tilt_text
 from .cloud_frame import (
     LEVEL,
-    MAX_TILT_DEG,
     UNCHECKED,
     CloudFrame,
     Dropped,
     cloud_frame,
+    is_tilted,
     step_fault,
     unit_fault,
 )
@@ -376,8 +376,7 @@ def _in_map_frame(
     if not config.mapping.level:
         if check:
             frame.require_up()
-        land = frame.land
-        if land is not None and land.is_significant and land.tilt_deg > MAX_TILT_DEG:
+        if is_tilted(land := frame.land):
             note(
                 f"the lowest points lie across a slope of {land.tilt_deg:.0f} degrees, and too few "
                 f"walls show whether the frame is tilted: if the land is level, {LEVEL}"

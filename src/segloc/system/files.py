@@ -73,7 +73,7 @@ def replacing(path: str | Path, *, sweep: bool = True) -> Iterator[BinaryIO]:
         raise
 
 
-def write_bytes(path: str | Path, data: bytes, *, sweep: bool = True) -> None:
+def write_bytes(path: str | Path, data: bytes | memoryview, *, sweep: bool = True) -> None:
     """Write ``data`` with :func:`replacing`."""
     with replacing(path, sweep=sweep) as stream:
         stream.write(data)

@@ -210,6 +210,8 @@ def answer_refined(
         return
     (propose, nbytes), places = prepared(views), Places(views)
     verified.map_bytes = np.array(nbytes + places.nbytes)
+    for answers in alone:
+        answers.map_bytes = np.array(nbytes)
     for q in todo:
         with ExitStack() as timed:
             for answers in (verified, *alone):
@@ -222,10 +224,9 @@ def answer_refined(
             refined = [places.refined(query, c.T_map_query, c.view) for c in candidates]
         if refined:
             verified.give(q, *max(refined, key=lambda item: item[1]))
-        for answers in alone:
-            answers.map_bytes = np.array(nbytes)
-            if candidates:
-                nearest = min(candidates, key=lambda candidate: candidate.distance)
+        if candidates:
+            nearest = min(candidates, key=lambda candidate: candidate.distance)
+            for answers in alone:
                 answers.give(q, nearest.T_map_query, -nearest.distance)
         for answers, name in zip((verified, *alone), systems, strict=True):
             answers.save(folder, name, q)

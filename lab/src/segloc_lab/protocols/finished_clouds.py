@@ -4,12 +4,12 @@ DATA has `utd_grand_loop`: a cloud of streets and parks without ground, scans of
 without theirs, and poses of those that were registered to it. Clouds of recordings stand beside it:
 the corridor, whose way back is localized; a session of the lab, for those of other days; KITTI 00,
 for another pass; and simulated courtyards with trees, each mapped by three robots whose poses lean
-and drift, for a later drive of a fourth. Each scan is localized in a map of the
-cloud as it is, thinned, tilted and levelled by `--level`, bent, leaning, or without ground, with
-viewpoints that are chosen or are the poses of the scans (an upper bound of what a trajectory
-brings), and in the map of the recording, with its true poses. Beside the answers: whether a right
-pose was among the places that were measured. Scans of other places, `kitti_starts` and some of
-`kitti00` without their ground, lie in no map.
+and drift, for a later drive of a fourth. Each scan is localized in a map of the cloud as it is,
+thinned, tilted and levelled by `--level`, bent, leaning, or without ground, with viewpoints that
+are chosen or are the poses of the scans (an upper bound of what a trajectory brings), and in the
+map of the recording, with its true poses. Beside the answers: whether a right pose was among the
+places that were measured. Scans of other places, `kitti_starts` and some of `kitti00` without their
+ground, lie in no map.
 
 Maps and answers are kept in WORK, so that a run goes on where the last one ended.
 
@@ -35,13 +35,13 @@ from segloc import Config, Localizer, Scan, SegmentMap, build_map, geometry
 from segloc.tools.batch import distances_to_path
 from segloc.tools.datasets import open_sequence
 from segloc.tools.io import clouds
-from segloc.types import Float64, Int64, Pose, Recording
+from segloc.types import Float64, Pose
 
 from .. import kitti00
 from ..calibration.worlds import AZIMUTHS, LATER
 from ..outcomes import pose_error
-from ..recordings import Files, posed
-from ..report import Table, earlier, keep, publish, reporting, share
+from ..recordings import Files, one_a_voxel, posed, with_poses
+from ..report import Cell, Table, earlier, keep, publish, reporting, share
 from ..simulation import SCENES, SENSORS, Conditions, simulate_sessions
 from . import real
 
@@ -114,9 +114,7 @@ class Site:
     def altered_cloud(self, name: str) -> Float64:
         """Return the altered cloud."""
         if name in THINNED:
-            cells = np.floor(self.cloud / THINNED[name])
-            kept: Int64 = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-            return self.cloud.take(kept, axis=0)
+            return one_a_voxel(self.cloud, THINNED[name])
         if name == CUT:
             squares = np.floor(self.cloud[:, :2] / SQUARE_M)
             square = np.unique(squares, axis=0, return_inverse=True)[1].ravel()
@@ -156,7 +154,7 @@ def site_of(name: str, data: Path) -> Site:
             truths += list(each.truths[some])
     path = kitti00.poses_of(source)
     cloud = np.concatenate(list(posed(source)))
-    return Site(cloud, *_near(path, taken, np.array(truths)), _with_poses(source, path))
+    return Site(cloud, *_near(path, taken, np.array(truths)), list(with_poses(source)))
 
 
 def courtyard(seed: int) -> Site:
@@ -173,7 +171,7 @@ def courtyard(seed: int) -> Site:
     return Site(
         np.concatenate([part for each in drifting for part in posed(each)]),
         *_near(path, taken, later.truth[::STEP]),
-        [scan for each in robots for scan in _with_poses(each, each.truth)],
+        [scan for each in robots for scan in with_poses(each)],
     )
 
 
@@ -188,10 +186,6 @@ def drifted(poses: Float64, seed: int) -> Float64:
         Rotation.from_rotvec(amount[:, 3:], degrees=True).as_matrix() @ poses[:, :3, :3]
     )
     return found
-
-
-def _with_poses(recording: Recording, poses: Float64) -> list[Scan]:
-    return [Scan(recording.scan(i).points, T_odom_sensor=T) for i, T in enumerate(poses)]
 
 
 def _near(path: Float64, scans: list[Scan], truths: Float64) -> tuple[list[Scan], Float64]:
@@ -279,21 +273,27 @@ def _localized(localizer: Localizer, scan: Scan, truth: Pose | None) -> dict[str
 
 def table(answers: list[dict[str, Any]]) -> Table:
     """Count the answers, by site, map and set of scans."""
-    columns = ("site", "cloud", "viewpoints", "m to the next", "scans", "right pose measured")
-    rows = []
+    rows: list[dict[str, Cell]] = []
     places = {name: k for k, name in enumerate((*SITES, *MAPS))}
     for each in sorted(answers, key=lambda e: (places[e["site"]], places[e["map"]])):
         outcomes = [row["outcome"] for row in each["rows"]]
         count, own = len(outcomes), each["scans"] == OWN
-        right = f"{sum(row['right'] for row in each['rows'])} of {count}" if own else "-"
-        found = share(outcomes.count("found"), count) if own else "-"
-        false = outcomes.count("false")
         ms = float(np.median([row["ms"] for row in each["rows"]]))
         highest = max(row["log_ratio"] or -np.inf for row in each["rows"])
-        where = each["site"], each["map"], each["viewpoints"], f"{each['gap_m']:.0f}"
+        right = sum(row["right"] for row in each["rows"])
         rows.append(
-            (*where, each["scans"], right, found, f"{false} of {count}", f"{highest:.1f}")
-            + (f"{ms:.0f}",)
+            {
+                "site": each["site"],
+                "cloud": each["map"],
+                "viewpoints": each["viewpoints"],
+                "m to the next": f"{each['gap_m']:.0f}",
+                "scans": each["scans"],
+                "right pose measured": f"{right} of {count}" if own else "-",
+                "found": share(outcomes.count("found"), count) if own else "-",
+                "false": f"{outcomes.count('false')} of {count}",
+                "highest log-ratio": f"{highest:.1f}",
+                "ms": f"{ms:.0f}",
+            }
         )
     note = (
         f"Found and right within {NEAR_M:g} m, for the reference of the campus is no better. With "
@@ -303,7 +303,7 @@ def table(answers: list[dict[str, Any]]) -> Table:
         f"have their ground. Poses of the robots of courtyards are off by {DRIFT_M:g} m and "
         f"{DRIFT_DEG:g} degrees (standard deviation) in the middle of their ways."
     )
-    return Table((*columns, "found", "false", "highest log-ratio", "ms"), rows, note)
+    return Table.of(rows, note)
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from .. import kitti00
 from ..calibration.worlds import EVERY_M, KINDS, LATER, simulated
 from ..outcomes import is_covered, outcome
 from ..padding import beside_its_mirror, mirrored
-from ..recordings import posed
+from ..recordings import one_a_voxel, posed, with_poses
 from ..report import Table, earlier, keep, publish, reporting, share, wilson
 from ..simulation import SENSORS, Conditions, SimulatedSequence, handheld, simulate_sessions
 from ..simulation.worlds.offices import building
@@ -109,9 +109,7 @@ def real_places(data: Path, work: Path) -> Iterator[Place]:
 
 def _thinned(cloud: Callable[[], Iterable[Float64]], spacing_m: float) -> list[Float64]:
     """A cloud with one point a voxel."""
-    points = np.concatenate(list(cloud()))
-    _, first = np.unique(np.floor(points / spacing_m), axis=0, return_index=True)
-    return [points[first]]
+    return [one_a_voxel(np.concatenate(list(cloud())), spacing_m)]
 
 
 def _as_laz(cloud: Callable[[], Iterable[Float64]], folder: Path) -> Iterable[Float64]:
@@ -162,10 +160,8 @@ def simulated_place(kind: str, seed: int) -> tuple[Place, Asked]:
     mapped, later = drives(kind, seed)
     poses = np.concatenate([drive.poses for drive in mapped])
 
-    def scans() -> Iterator[Scan]:
-        for drive in mapped:
-            for i in range(len(drive)):
-                yield Scan(drive.scan(i).points, T_odom_sensor=drive.poses[i])
+    def scans(config: Config) -> SegmentMap:
+        return build_map([scan for drive in mapped for scan in with_poses(drive)], config)
 
     def cloud() -> Iterator[Float64]:
         for drive in mapped:
@@ -173,7 +169,7 @@ def simulated_place(kind: str, seed: int) -> tuple[Place, Asked]:
 
     name = f"{kind} {seed}"
     alike = kind in KINDS and KINDS[kind].alike
-    made = Place(name, name, poses, lambda config: build_map(list(scans()), config), cloud, alike)
+    made = Place(name, name, poses, scans, cloud, alike)
     at = [(d, int(i)) for d in later for i in query_positions(d.truth, EVERY_M, 10.0)]
     truths = np.stack([drive.truth[i] for drive, i in at])
     singles = MemoryRecording([Scan(drive.scan(i).points) for drive, i in at])
