@@ -31,6 +31,8 @@ LEVELS = (4, 5, 6)
 """Levels of windows: the widest are 4, 8 or 16 m with cells of 0.5 m."""
 MIN_COLUMNS = 64
 """Fewest columns of a query in a large map; wider windows are better than fewer columns."""
+_FARTHER = 2
+"""Factor of the radius of search around the path, if it leaves as many times the fewest columns."""
 MIN_OCCUPIED = 20
 """Fewest occupied cells of a query for a search."""
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
@@ -65,7 +67,10 @@ class OccupancyConfig(Section):
     enabled: bool = Field(True, description="search by occupancy if segments are inconclusive")
     cell: float = Field(0.5, ge=0.1, le=5, description="edge of a cell, metres")
     reach_m: float = Field(
-        20.0, ge=1, le=200, description="search radius around the mapped trajectory"
+        20.0,
+        ge=1,
+        le=200,
+        description="search radius around the mapped trajectory; twice that in maps of up to 2 km",
     )
     range_m: float = Field(40.0, ge=5, le=100, description="range of the query's cells")
     yaws: int = Field(120, ge=8, le=720, description="number of headings")
@@ -193,27 +198,24 @@ class _OccupancyMap:
             self._prepare(cloud, path, segmentation)
 
     def _prepare(self, cloud: Float32, path: Float64, segmentation: SegmentationConfig) -> None:
-        """Use the narrowest top-level windows that the bound of work permits."""
-        config = self._config
+        """Search as far from the path, by as narrow windows, as the bound of work permits."""
+        config, near = self._config, path[:, :2]
         self._ground, below = ground_of(cloud, path, segmentation)
         heights = cloud[:, 2] - below
         above = heights > HEIGHTS_M[0]
         if not above.any():
             return
         points, slices = cloud[above], slices_of(heights[above])
-        for levels in LEVELS:
-            width = config.cell * 2 ** (levels - 1)
-            near = path[:, :2]
+        for levels, farther in ((LEVELS[0], _FARTHER), *((levels, 1) for levels in LEVELS)):
+            width, reach = config.cell * 2 ** (levels - 1), farther * config.reach_m
             roots = (
-                _windows_along(near, width, config.reach_m)
-                if len(path)
-                else _windows_under(cloud, width)
+                _windows_along(near, width, reach) if len(path) else _windows_under(cloud, width)
             )
             roots = roots[_any_corner(self._own, roots, width)]
             self.windows = len(roots)
             if not self.windows:
                 return
-            if self.windows * self._parts * MIN_COLUMNS <= config.work:
+            if self.windows * self._parts * farther * MIN_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
                 self._native = _native.PoseSearch(
                     points, slices, roots, config.cell, levels, farthest
