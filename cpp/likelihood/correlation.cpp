@@ -156,10 +156,12 @@ constexpr std::size_t kVectors = kRun / sizeof(Bytes);
 void add_run(const std::uint8_t* const* rows, std::size_t count, std::uint16_t* sums) {
   Bytes sum[kVectors] = {};
   for (std::size_t i = 0; i < count; ++i) {
-    Bytes row[kVectors];
-    std::memcpy(row, rows[i], kRun);
     SEGLOC_UNROLL
-    for (std::size_t k = 0; k < kVectors; ++k) sum[k] += row[k];
+    for (std::size_t k = 0; k < kVectors; ++k) {
+      Bytes part;
+      std::memcpy(&part, rows[i] + k * sizeof(Bytes), sizeof(Bytes));
+      sum[k] += part;
+    }
   }
   std::uint8_t total[kRun];
   std::memcpy(total, sum, kRun);

@@ -18,6 +18,7 @@ from .model import (
     Model,
     aligned_measures,
     as_by_chance,
+    at_most,
     features_of,
     rough_measures,
     shipped_model,
@@ -231,30 +232,32 @@ class Scorer:
         5000 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
-        first = self._begin()
+        first, sure = self._begin(), log_odds(1.0 - self._model.lapse)
         if not thorough and first is not None and first.promise >= -self._threshold:
-            certain = self._certain_beside_few()
-            if certain is not None:
-                return certain
+            for rivals in (0, _FEW_RIVALS) if first.promise >= sure else (_FEW_RIVALS,):
+                if self._try_beside(rivals, sure):
+                    return self.posterior()
         promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
         self._meet(promising[: self._config.max_places])
         self._decide(thorough)
         return self.posterior()
 
-    def _certain_beside_few(self) -> Posterior | None:
-        """Return the posterior beside few rivals if a place is as sure as can be.
+    def _try_beside(self, rivals: int, sure: float) -> bool:
+        """Measure beside few rivals; return whether a place is as sure as can be.
 
         Otherwise nothing was tried: a place that is measured now would replace a better one that is
-        aligned later.
+        aligned later. Beside none, a pose is compared with what the others may reach.
         """
         places, surrounded = [replace(place) for place in self.places], list(self._surrounded)
-        self._meet(sorted(self.places, key=lambda place: -place.overlap)[:_FEW_RIVALS])
+        most = sorted(self.places, key=lambda place: -place.overlap)
+        self._rivals = []
+        self._meet(most[:rivals])
         self._decide()
         leader = self._leader()
-        if leader is not None and leader.log_ratio >= log_odds(1.0 - self._model.lapse):
-            return self.posterior()
+        if leader is not None and leader.log_ratio >= sure:
+            return True
         self.places, self._surrounded = places, surrounded
-        return None
+        return False
 
     def posterior(self) -> Posterior:
         """Return the posterior of what was measured; the rest has a share by its promise.
@@ -442,14 +445,14 @@ class Scorer:
             return
         poses = np.stack([place.T_map_local for place in done])
         apart, elsewhere = self._separation.apart_from(poses, poses), self._most_elsewhere(poses)
-        there = np.stack([T for T, _ in self._rivals])
-        rival_apart = self._separation.apart_from(poses, there)
+        met = self._rivals or [(place.T_map_local, at_most(place.overlap)) for place in self.places]
+        rival_apart = self._separation.apart_from(poses, np.stack([T for T, _ in met]))
         for k, place in enumerate(done):
             assert place.fit is not None
             others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
             inliers = max([elsewhere[k], *(other.inliers for other in others)])
             walls = min(self._walls_over(place.fit, other) for other in (None, *others))
-            rivals = [m for (_, m), away in zip(self._rivals, rival_apart[k], strict=True) if away]
+            rivals = [m for (_, m), away in zip(met, rival_apart[k], strict=True) if away]
             features = features_of(place.fit, rivals, inliers, walls)
             place.scored = self._likelihood.scored(place.fit, features)
 

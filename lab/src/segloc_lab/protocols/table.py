@@ -6,14 +6,21 @@ python -m segloc_lab.protocols.table OUT/*-*/ --report FOLDER
 from __future__ import annotations
 
 import json
+from itertools import pairwise
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from ..evaluation.comparison import METHODS
-from ..report import Table, publish, reporting, share
+from ..report import Table, entries, publish, reporting, share
 
 COLUMNS = ("run", "queries", "found within map coverage", "false", "error m, median / 95 %", "deg")
 PROTOCOLS = ("accumulated", "single", "sparse")
+BEYOND_M = (0, 3, 10, 20, 30, 40, inf)
+"""Bins of the distance of a query from the mapped trajectory [m]."""
+BINS = [
+    f"beyond {low} m" if high == inf else f"{low} to {high} m" for low, high in pairwise(BEYOND_M)
+]
 
 
 def cells(folder: Path) -> tuple[str | int, ...]:
@@ -27,6 +34,18 @@ def cells(folder: Path) -> tuple[str | int, ...]:
         _spread(summary["translation_error_m"]),
         _spread(summary["rotation_error_deg"]),
     )
+
+
+def by_distance(folder: Path) -> tuple[str, ...]:
+    """Return the queries of a run that are found, by their distance from the map's trajectory."""
+    queries = [
+        (q["distance_to_map_m"], q["correct"]) for q in entries(folder / "localizations.jsonl")
+    ]
+    cells = [folder.name]
+    for low, high in pairwise(BEYOND_M):
+        found = [correct for metres, correct in queries if low <= metres < high]
+        cells.append(f"{sum(found)} of {len(found)}")
+    return tuple(cells)
 
 
 def _spread(values: dict[str, float | None]) -> str:
@@ -44,8 +63,17 @@ def main() -> None:
     options = reporting(__doc__)
     options.add_argument("runs", nargs="+", type=Path)
     args = options.parse_args()
-    rows = [cells(run) for run in sorted(args.runs, key=_place)]
-    publish(args.report, "KITTI 00", Table(COLUMNS, rows, "In brackets: 95 % by Wilson."))
+    runs = sorted(args.runs, key=_place)
+    publish(
+        args.report,
+        "KITTI 00",
+        Table(COLUMNS, [cells(run) for run in runs], "In brackets: 95 % by Wilson."),
+        Table(
+            ("run", *BINS),
+            [by_distance(run) for run in runs],
+            title="Found, by the distance from the mapped trajectory",
+        ),
+    )
 
 
 if __name__ == "__main__":
