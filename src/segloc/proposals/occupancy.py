@@ -32,7 +32,7 @@ LEVELS = (4, 5, 6)
 MIN_COLUMNS = 64
 """Fewest columns of a query in a large map; wider windows are better than fewer columns."""
 _FARTHER = 2
-"""Factor of the radius of search around the path, if it leaves as many times the fewest columns."""
+"""Factor of the radius of search around the path, if that leaves enough columns."""
 MIN_OCCUPIED = 20
 """Fewest occupied cells of a query for a search."""
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
@@ -70,7 +70,7 @@ class OccupancyConfig(Section):
         20.0,
         ge=1,
         le=200,
-        description="search radius around the mapped trajectory; twice that in maps of up to 2 km",
+        description="search radius around the mapped trajectory; twice that in maps of up to 4 km",
     )
     range_m: float = Field(40.0, ge=5, le=100, description="range of the query's cells")
     yaws: int = Field(120, ge=8, le=720, description="number of headings")
@@ -215,7 +215,7 @@ class _OccupancyMap:
             self.windows = len(roots)
             if not self.windows:
                 return
-            if self.windows * self._parts * farther * MIN_COLUMNS <= config.work:
+            if self.windows * self._parts * MIN_COLUMNS <= config.work:
                 farthest = config.range_m + config.cell
                 self._native = _native.PoseSearch(
                     points, slices, roots, config.cell, levels, farthest
