@@ -11,7 +11,7 @@ from samples.plaza import Plaza
 from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.proposals.occupancy import OccupancyConfig, free_cells, storeys
+from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, free_cells, storeys
 from segloc.types import Pose
 
 
@@ -48,6 +48,21 @@ def test_the_best_candidate_is_near_the_truth(
     fits = [candidate.fit or 0.0 for candidate in first]
     assert fits == sorted(fits, reverse=True)
     assert [c.T_map_local.tolist() for c in first] == [c.T_map_local.tolist() for c in again]
+
+
+def test_places_far_from_the_path_are_searched_where_the_map_is_small(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    T = geometry.yaw_transform(1.0, (3.0, 33.0, 1.7))
+    scene, prior_map = localizer.describe(plaza.scan(T, seed=5)).scene, localizer.prior_map
+    found = {}
+    for name, work in (("small", 1_200_000), ("large", 20_000)):
+        config = OccupancyConfig(work=work)
+        proposer = OccupancyProposer(prior_map.voxel_cloud, prior_map.trajectory, config)
+        found[name] = proposer.candidates(scene)
+    assert near(found["small"][0].T_map_local, T)
+    off = np.array([c.T_map_local[:2, 3] for c in found["large"]])
+    assert len(off) and off[:, 1].max() < 4.0 + 20.0 + 6.0
 
 
 def test_a_query_without_segments_is_localized_by_what_stands(
