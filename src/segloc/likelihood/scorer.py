@@ -234,7 +234,9 @@ class Scorer:
         """
         first, sure = self._begin(), log_odds(1.0 - self._model.lapse)
         if not thorough and first is not None and first.promise >= -self._threshold:
-            for rivals in (0, _FEW_RIVALS) if first.promise >= sure else (_FEW_RIVALS,):
+            # What a view says of known poses was fitted beside rivals that were met.
+            likely = first.promise >= sure and all(place.known is None for place in self.places)
+            for rivals in (0, _FEW_RIVALS) if likely else (_FEW_RIVALS,):
                 if self._try_beside(rivals, sure):
                     return self.posterior()
         promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
