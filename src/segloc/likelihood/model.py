@@ -43,10 +43,10 @@ _WALLS_PRIOR = 5.0
 """Wall patches by which those told apart are smoothed."""
 _CHANCE_INLIERS = 4
 """Inliers of some wrong pose of any map."""
-_MOST_GAIN, _MOST_SEEN = 0.05, 2.0
-"""What a rival may reach by alignment: so much more than its rough overlap, and these log-odds of
-what is seen. In the rows of the fit 3255 poses are as sure as can be beside such a rival, all of
-them right; beside all places that were measured the least sure has log-odds of 5.9."""
+_BEST_GAIN, _BEST_SEEN = 0.05, 2.0
+"""Assumed of a place that was not aligned: gain of overlap by alignment, as a share, and log-odds
+of the seen map points. In the rows of the fit 3255 poses have the highest confidence beside such
+places, all of them right; beside all measured places the least log-odds of these are 5.9."""
 
 
 class Measured(Protocol):
@@ -188,9 +188,9 @@ def aligned_measures(aligned: Aligned) -> tuple[float, ...]:
     return share_odds(aligned.overlap), aligned.seen.log_odds(_SEEN_PRIOR)
 
 
-def at_most(overlap: float) -> tuple[float, ...]:
-    """Return the :func:`aligned_measures` that a place with a rough overlap may reach."""
-    return share_odds(min(overlap + _MOST_GAIN, 1.0)), _MOST_SEEN
+def best_case_measures(overlap: float) -> tuple[float, ...]:
+    """Return the best :func:`aligned_measures` assumed of a place by its rough overlap."""
+    return share_odds(min(overlap + _BEST_GAIN, 1.0)), _BEST_SEEN
 
 
 def walls_over(here: Walls, elsewhere: Walls | None = None) -> float:

@@ -18,7 +18,7 @@ from .model import (
     Model,
     aligned_measures,
     as_by_chance,
-    at_most,
+    best_case_measures,
     features_of,
     rough_measures,
     shipped_model,
@@ -175,6 +175,7 @@ class Scorer:
         self._config, self._model = likelihood.config, likelihood.model
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
+        self._sure = log_odds(1.0 - self._model.lapse)
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
@@ -232,31 +233,32 @@ class Scorer:
         5000 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
-        first, sure = self._begin(), log_odds(1.0 - self._model.lapse)
+        first = self._begin()
         if not thorough and first is not None and first.promise >= -self._threshold:
             # What a view says of known poses was fitted beside rivals that were met.
-            likely = first.promise >= sure and all(place.known is None for place in self.places)
+            likely = first.promise >= self._sure and all(
+                place.known is None for place in self.places
+            )
             for rivals in (0, _FEW_RIVALS) if likely else (_FEW_RIVALS,):
-                if self._try_beside(rivals, sure):
+                if self._try_beside(rivals):
                     return self.posterior()
         promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
         self._meet(promising[: self._config.max_places])
         self._decide(thorough)
         return self.posterior()
 
-    def _try_beside(self, rivals: int, sure: float) -> bool:
+    def _try_beside(self, rivals: int) -> bool:
         """Measure beside few rivals; return whether a place is as sure as can be.
 
         Otherwise nothing was tried: a place that is measured now would replace a better one that is
-        aligned later. Beside none, a pose is compared with what the others may reach.
+        aligned later. Beside none, a pose is compared with the best case of the others.
         """
         places, surrounded = [replace(place) for place in self.places], list(self._surrounded)
         most = sorted(self.places, key=lambda place: -place.overlap)
-        self._rivals = []
         self._meet(most[:rivals])
         self._decide()
         leader = self._leader()
-        if leader is not None and leader.log_ratio >= sure:
+        if leader is not None and leader.log_ratio >= self._sure:
             return True
         self.places, self._surrounded = places, surrounded
         return False
@@ -292,9 +294,9 @@ class Scorer:
 
     def _meet(self, rivals: Sequence[Trial]) -> None:
         """Align rivals: with the best of them each pose is compared."""
+        self._rivals = []
         if not rivals:
             return
-        self._rivals = []
         for place in rivals:
             if place.aligned is None:
                 self._align(place)
@@ -447,7 +449,9 @@ class Scorer:
             return
         poses = np.stack([place.T_map_local for place in done])
         apart, elsewhere = self._separation.apart_from(poses, poses), self._most_elsewhere(poses)
-        met = self._rivals or [(place.T_map_local, at_most(place.overlap)) for place in self.places]
+        met = self._rivals or [
+            (place.T_map_local, best_case_measures(place.overlap)) for place in self.places
+        ]
         rival_apart = self._separation.apart_from(poses, np.stack([T for T, _ in met]))
         for k, place in enumerate(done):
             assert place.fit is not None

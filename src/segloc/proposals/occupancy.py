@@ -27,12 +27,11 @@ from ..system.section import Section
 from ..types import Bools, Candidate, Float32, Float64, Int64
 from .proposer import Query
 
-LEVELS = (4, 5, 6)
-"""Levels of windows: the widest are 4, 8 or 16 m with cells of 0.5 m."""
+EXTENTS = ((4, 2), (4, 1), (5, 1), (6, 1))
+"""Levels of windows, of which the widest are 4, 8 or 16 m with cells of 0.5 m, and the factor of
+the search radius: the first that leaves enough columns is used."""
 MIN_COLUMNS = 64
 """Fewest columns of a query in a large map; wider windows are better than fewer columns."""
-_FARTHER = 2
-"""Factor of the radius of search around the path, if that leaves enough columns."""
 MIN_OCCUPIED = 20
 """Fewest occupied cells of a query for a search."""
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
@@ -206,7 +205,7 @@ class _OccupancyMap:
         if not above.any():
             return
         points, slices = cloud[above], slices_of(heights[above])
-        for levels, farther in ((LEVELS[0], _FARTHER), *((levels, 1) for levels in LEVELS)):
+        for levels, farther in EXTENTS:
             width, reach = config.cell * 2 ** (levels - 1), farther * config.reach_m
             roots = (
                 _windows_along(near, width, reach) if len(path) else _windows_under(cloud, width)

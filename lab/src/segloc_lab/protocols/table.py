@@ -41,11 +41,11 @@ def by_distance(folder: Path) -> tuple[str, ...]:
     queries = [
         (q["distance_to_map_m"], q["correct"]) for q in entries(folder / "localizations.jsonl")
     ]
-    cells = [folder.name]
+    row = [folder.name]
     for low, high in pairwise(BEYOND_M):
         found = [correct for metres, correct in queries if low <= metres < high]
-        cells.append(f"{sum(found)} of {len(found)}")
-    return tuple(cells)
+        row.append(f"{sum(found)} of {len(found)}")
+    return tuple(row)
 
 
 def _spread(values: dict[str, float | None]) -> str:
