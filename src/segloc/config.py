@@ -40,7 +40,6 @@ FOR_USERS = (
     "mapping.views",
     "mapping.level",
     "matching.neighbours",
-    "matching.escalation",
     "pose.estimator",
     "occupancy.enabled",
     "proposers",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from .likelihood.observation import MapCloud
 from .localization import Localization
 from .map.info import tolerance_m
 from .map.segment_map import SegmentMap
-from .pipeline import Proposed, Search, answer
+from .pipeline import Agreed, Search, answer
 from .prior import Near, Prior, allowed, within
 from .proposals.matching import Matcher
 from .proposals.occupancy import OccupancyProposer, is_storeyed
@@ -216,7 +216,7 @@ class Localizer:
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        If segment matching is inconclusive, retry with more neighbours, then use the proposers.
+        If segments are inconclusive, the proposers are asked, one after the other.
 
         Parameters
         ----------
@@ -231,20 +231,20 @@ class Localizer:
             Use all proposers and measure everything, to fit the model.
         """
         times = times or StageTimes(self.clock)
-        is_near = allowed(near)
-        scorer = self.likelihood.scorer(self.likelihood.query(query.scene), is_near)
+        is_near, min_confidence = allowed(near), self.config.verification.min_confidence
+        agreed = self._agreed(query, times, near)
+        query_cloud = self.likelihood.query(query.scene)
+        scorer = self.likelihood.scorer(query_cloud, agreed.inliers, is_near)
         known_near = [T for T in known if is_near(T)]
-        min_confidence = self.config.verification.min_confidence
         found: Search | None = None
-        for proposed in self._proposals(query, times, deadline_ms, near):
-            if not proposed.last and (thorough or not scorer.segments_suffice(proposed.candidates)):
+        for candidates, last in self._proposals(query, agreed, times, deadline_ms, near):
+            if not last and (thorough or not scorer.segments_suffice(candidates)):
                 continue
             with times("verification"):
-                scorer.add(proposed.candidates, proposed.inliers, known_near)
+                scorer.add(candidates, known_near)
                 posterior = scorer.measure(thorough=thorough)
-            found = Search.of(
-                self.prior_map, proposed, posterior, scorer.places, min_confidence, near
-            )
+            seen = self.prior_map, agreed, candidates
+            found = Search.of(*seen, posterior, scorer.places, min_confidence, near)
             if found.reason is None and not thorough:
                 return found
         assert found is not None  # the last proposals are always measured
@@ -262,50 +262,40 @@ class Localizer:
             return Posterior()
         return self.likelihood.compared(self.likelihood.query(scene), known)
 
+    def _agreed(self, query: Query, times: StageTimes, near: Prior | None) -> Agreed:
+        """Match segments, and find the poses on which they agree."""
+        where, matcher = (query.scene.segments.centroids, self.prior_map.centroids), self.matcher
+        if near is not None and near.has_position:  # of the segments in view from there
+            reach_m = self.config.local_cloud.radius_m
+            matcher = matcher.among(near.rows(self.prior_map.centroids, reach_m))
+        with times("matching"):
+            nearest = matcher.match(query.descriptors)
+        with times("pruning"):
+            matches = matcher.prune(query.descriptors, nearest)
+        with times("pose"):
+            candidates = within(near, self.estimator.estimate(*where, matches))
+            inliers = self.estimator.agreement(*where, matches)
+        return Agreed(len(nearest), matches, candidates, inliers)
+
     def _proposals(
         self,
         query: Query,
+        agreed: Agreed,
         times: StageTimes,
         deadline_ms: float | None,
         near: Prior | None,
-    ) -> Iterator[Proposed]:
-        """Yield all candidates so far, after each attempt: segment matches, then the proposers."""
-        where = query.scene.segments.centroids, self.prior_map.centroids
-        matcher = self._matcher_near(near)
-        neighbours = matcher.neighbours(query.descriptors)
-        candidates: list[Candidate] = []
-        for count in matcher.schedule:
-            with times("matching"):
-                nearest = neighbours.matches(count)
-            with times("pruning"):
-                matches = matcher.prune(query.descriptors, nearest)
+    ) -> Iterator[tuple[list[Candidate], bool]]:
+        """Yield the candidates so far, of segments, then of each proposer, and if none follows."""
+        candidates, left = agreed.candidates, [*self.proposers]
+        while left and not times.beyond(deadline_ms):
+            yield candidates, False
+            proposer = left.pop(0)
             with times("pose"):
-                fresh = within(near, self.estimator.estimate(*where, matches))
-                inliers = self.estimator.agreement(*where, matches)
-                candidates = [*fresh, *_counted(candidates, inliers)]
-            over = times.beyond(deadline_ms)
-            last = over or (count == matcher.schedule[-1] and not self.proposers)
-            yield Proposed(len(nearest), matches, candidates, inliers, last)
-            if over:
-                return
-        candidates = _counted(candidates, inliers)
-        for k, proposer in enumerate(self.proposers, start=1):
-            with times("pose"):
-                proposals = proposer.propose(query, near)
-                fresh = within(near, [replace(c, proposer=proposer.name) for c in proposals])
-                candidates = [*candidates, *_counted(fresh, inliers)]
-            over = times.beyond(deadline_ms)
-            last = over or k == len(self.proposers)
-            yield Proposed(len(nearest), matches, candidates, inliers, last)
-            if over:
-                return
-
-    def _matcher_near(self, near: Prior | None) -> Matcher:
-        """Return a matcher of the segments in view from near a prior."""
-        if near is None or not near.has_position:
-            return self.matcher
-        reach_m = self.config.local_cloud.radius_m
-        return self.matcher.among(near.rows(self.prior_map.centroids, reach_m))
+                proposed = within(near, proposer.propose(query, near))
+                counted = ((c, agreed.inliers(c.T_map_local)) for c in proposed)
+                fresh = (replace(c, proposer=proposer.name, inliers=n) for c, n in counted)
+                candidates = [*candidates, *fresh]
+        yield candidates, True
 
 
 def proposers_of(
@@ -347,8 +337,3 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
         is_storeyed(viewpoints - prior_map.origin),
         prior_map.sensor_positions,
     )
-
-
-def _counted(candidates: Sequence[Candidate], inliers: Callable[[Pose], int]) -> list[Candidate]:
-    """Return the candidates with their inliers by the newest matches."""
-    return [replace(c, inliers=inliers(c.T_map_local)) for c in candidates]

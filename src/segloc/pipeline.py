@@ -36,8 +36,8 @@ _ALIGNED_M, _ARM_M = 2.0, 10.0
 
 
 @dataclass(frozen=True)
-class Proposed:
-    """All candidates so far.
+class Agreed:
+    """Matches of segments, and the poses on which they agree.
 
     Attributes
     ----------
@@ -46,16 +46,13 @@ class Proposed:
     matches : Matches
     candidates : list of Candidate
     inliers : callable
-        Counts the segments that agree with a pose T_map_local, by these matches.
-    last : bool
-        True if no further proposer is asked.
+        Counts the segments that agree with a pose T_map_local.
     """
 
     count: int
     matches: Matches
     candidates: list[Candidate]
     inliers: Callable[[Pose], int]
-    last: bool
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,8 @@ class Search:
     def of(
         cls,
         prior_map: SegmentMap,
-        proposed: Proposed,
+        agreed: Agreed,
+        candidates: list[Candidate],
         posterior: Posterior,
         places: Sequence[Trial],
         min_confidence: float,
@@ -104,10 +102,10 @@ class Search:
     ) -> Search:
         """Return the result of a posterior."""
         reason = posterior.reason(min_confidence)
-        if not proposed.candidates:
+        if not candidates:
             reason = Reason.NO_CONSISTENT_MATCHES
         message = posterior.message(min_confidence)
-        where = prior_map, proposed.count, proposed.matches, proposed.candidates
+        where = prior_map, agreed.count, agreed.matches, candidates
         return cls(*where, posterior, reason, message, tuple(places), near)
 
     @property

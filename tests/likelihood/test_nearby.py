@@ -142,17 +142,14 @@ def test_a_place_one_period_off_is_found_from_its_alias() -> None:
     search = NearbySearch(index, NearbyConfig(), Separation())
     points = scene(hall()).structure
     found = search.around(points, geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)))
-    assert any(np.abs(T - np.eye(4)).max() < 0.3 for T in found.rivals)
-    start = geometry.yaw_transform(np.radians(6.0), (1.4, -0.9, 0.0))
-    better = search.around(points, start).start
-    assert np.hypot(*better[:2, 3]) < 0.6 and abs(geometry.heading(better)) < np.radians(3.0)
+    assert any(np.abs(T - np.eye(4)).max() < 0.3 for T in found)
 
 
 def posterior(cloud: Float32, seen: Float32, candidate: Candidate) -> Posterior:
     config, apart = VerificationConfig(), Separation()
     likelihood = Likelihood(MapCloud(cloud, np.zeros(3), config, apart, 0, False, np.zeros((1, 3))))
-    scorer = likelihood.scorer(likelihood.query(scene(seen)))
-    scorer.add([candidate], lambda _: candidate.inliers)
+    scorer = likelihood.scorer(likelihood.query(scene(seen)), lambda _: candidate.inliers)
+    scorer.add([candidate])
     return scorer.measure(thorough=True)
 
 

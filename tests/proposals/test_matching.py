@@ -142,10 +142,8 @@ def test_a_longer_search_begins_with_the_shorter_one() -> None:
     for indexed_from in (1000, 10_000):  # with an index and without
         config = MatchingConfig(indexed_from=indexed_from, list_size=100, probes=6)
         matcher = Matcher(prior_map, config, threads=1)
-        search = matcher.neighbours(query)
-        assert len(matcher.schedule) == 2
-        for neighbours in (*matcher.schedule, 3):
-            proposed, expected = search.matches(neighbours), matcher.match(query, neighbours)
-            assert len(proposed) == 40 * neighbours
-            for name in ("query", "map", "distance", "score"):
-                np.testing.assert_array_equal(getattr(proposed, name), getattr(expected, name))
+        few, many = matcher.match(query), matcher.match(query, 4 * matcher.neighbours)
+        assert len(few) == 40 * matcher.neighbours and len(many) == 4 * len(few)
+        for row in range(40):
+            nearest = many.map[many.query == row][: matcher.neighbours]
+            np.testing.assert_array_equal(nearest, few.map[few.query == row])

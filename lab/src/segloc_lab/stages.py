@@ -66,7 +66,7 @@ def clock_for(threads: int) -> Clock:
 def single_pass(
     localizer: Localizer, query: Scan | LocalCloud, watch: StageTimes
 ) -> tuple[Segmentation, Matches]:
-    """Every stage of a query once, without a second attempt; the scene and its matches."""
+    """Every stage of a query once, by segments alone; the scene and its matches."""
     cloud = query
     if isinstance(cloud, Scan):
         with watch("local cloud"):
@@ -88,7 +88,7 @@ def single_pass(
     with watch("verification"):
         likelihood, where = localizer.likelihood, localizer.prior_map.centroids
         agree = localizer.estimator.agreement(scene.segments.centroids, where, matches)
-        scorer = likelihood.scorer(likelihood.query(scene))
-        scorer.add(hypotheses, agree)
+        scorer = likelihood.scorer(likelihood.query(scene), agree)
+        scorer.add(hypotheses)
         scorer.measure()
     return scene, matches

@@ -8,7 +8,6 @@ from typing import Protocol
 from ..frontend.segmentation import Segmentation
 from ..localization import NextView
 from ..types import Pose
-from .nearby import Surroundings
 from .observation import Aligned, Observation, QueryCloud
 
 
@@ -19,7 +18,7 @@ class Clouds(Protocol):
 
     def rough_overlap(self, poses: Sequence[Pose], query: QueryCloud) -> list[float]: ...
 
-    def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings: ...
+    def around(self, T_map_local: Pose, query: QueryCloud) -> list[Pose]: ...
 
     def aligned(
         self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None

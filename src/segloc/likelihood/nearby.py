@@ -1,4 +1,4 @@
-"""Poses around a candidate at which the clouds fit similarly: better starts, and aliases.
+"""Poses around a candidate at which the clouds fit similarly.
 
 Corridors and rows of pillars repeat every few metres, and halls are similar from the other end.
 Clouds separate such places better than segments.
@@ -7,27 +7,20 @@ Clouds separate such places better than segments.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from .. import _native, geometry
 from ..geometry import Separation
 from ..system.section import Section
-from ..types import Float32, Float64, Pose
+from ..types import Float32, Pose
 
-_SLIGHTLY_DEG = (0.0, -8.0, -4.0, 4.0, 8.0)
-_BETTER = 1.05
-"""Least relative fit of another start."""
 _RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
 """Step of the search for storeys, radius of the map points that bound it, and their number."""
 _STOREY_FITS = 0.8
 """Least relative fit of a rival on another storey."""
-_ABOUT_DEG = (90.0, 180.0, 270.0)
+_TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
 """Turns at which built places are similar."""
 
 
@@ -40,22 +33,6 @@ class NearbyConfig(Section):
     cell_m: float = Field(0.5, ge=0.25, le=5, description="step of the shifts, metres")
     range_m: float = Field(30.0, ge=1, le=90, description="range of the compared points, metres")
     most: int = Field(4, ge=0, le=100, description="most rivals kept")
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """Poses around a candidate.
-
-    Attributes
-    ----------
-    start : (4, 4) float64
-        Best rough fit at the place of the candidate.
-    rivals : list of (4, 4) float64
-        Best rough fits at other places, best first.
-    """
-
-    start: Pose
-    rivals: list[Pose]
 
 
 class NearbySearch:
@@ -74,26 +51,27 @@ class NearbySearch:
         self, index: _native.PointIndex, config: NearbyConfig, separation: Separation
     ) -> None:
         self._index, self._config, self._separation = index, config, separation
-        degrees = (*_SLIGHTLY_DEG, *_ABOUT_DEG)
-        self._headings = [math.radians(d) for d in degrees]
-        self._slight = np.abs(degrees) < separation.degrees
+        self._headings = [math.radians(d) for d in _TURNS_DEG]
 
-    def around(self, points: Float32, T: Pose) -> Surroundings:
-        """Return the best poses around T, the transform of (N, 3) points to the map's cloud."""
+    def around(self, points: Float32, T: Pose) -> list[Pose]:
+        """Return the best poses at other places around T, the transform of (N, 3) points."""
         config = self._config
         counts, used = self._index.correlate(
             points, T, self._headings, config.cell_m, config.half_width_m, config.range_m
         )
         share = counts / np.maximum(4.0 * used, 1.0)[:, None, None]
         shifts = (np.arange(share.shape[1]) - share.shape[1] // 2) * config.cell_m
-        distance = np.hypot(shifts[:, None], shifts[None, :])
-        here = self._slight[:, None, None] & (distance < self._separation.metres)
-        start = _argmax(np.where(here, share, -1.0))
-        elsewhere = self._peaks(np.where(here, -1.0, share), shifts)
-        rivals = [self._shift(T, peak, shifts) for peak in islice(elsewhere, config.most)]
-        if share[start] < _BETTER * share[0][distance == 0.0][0]:
-            return Surroundings(T, rivals)
-        return Surroundings(self._shift(T, start, shifts), rivals)
+        h, i, j = 0, len(shifts) // 2, len(shifts) // 2  # the pose itself
+        found: list[Pose] = []
+        while True:
+            close = np.hypot(shifts[:, None] - shifts[i], shifts - shifts[j])
+            share[h, close < self._separation.metres] = -1.0
+            h, i, j = (int(k) for k in np.unravel_index(int(share.argmax()), share.shape))
+            if len(found) == config.most or share[h, i, j] <= 0.0:
+                return found
+            moved = T @ geometry.yaw_transform(self._headings[h])
+            moved[:2, 3] += shifts[j], shifts[i]
+            found.append(moved)
 
     def storeys(self, points: Float32, T: Pose, radius: float) -> list[Pose]:
         """Return poses above and below T at which the clouds fit nearly as well.
@@ -121,26 +99,3 @@ class NearbySearch:
             found.append(poses[best + 1])
             share[np.abs(steps - steps[best]) < self._separation.height] = 0.0
         return found
-
-    def _peaks(self, share: Float64, shifts: Float64) -> Iterator[tuple[int, int, int]]:
-        """Yield the largest shares, at distinct places."""
-        while True:
-            peak = _argmax(share)
-            if share[peak] <= 0.0:
-                return
-            yield peak
-            h, i, j = peak
-            close = np.hypot(shifts[:, None] - shifts[i], shifts[None, :] - shifts[j])
-            alike = self._slight if self._slight[h] else np.arange(len(share)) == h
-            share[alike[:, None, None] & (close < self._separation.metres)] = -1.0
-
-    def _shift(self, T: Pose, at: tuple[int, int, int], shifts: Float64) -> Pose:
-        h, i, j = at
-        moved = T @ geometry.yaw_transform(self._headings[h])
-        moved[:2, 3] += shifts[j], shifts[i]
-        return moved
-
-
-def _argmax(share: NDArray[np.float64]) -> tuple[int, int, int]:
-    h, i, j = np.unravel_index(int(share.argmax()), share.shape)
-    return int(h), int(i), int(j)

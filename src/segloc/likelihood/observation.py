@@ -24,12 +24,10 @@ from ..geometry import Separation
 from ..localization import NextView
 from ..types import Float32, Float64, Int64, Pose
 from .config import VerificationConfig
-from .nearby import NearbySearch, Surroundings
+from .nearby import NearbySearch
 from .next_view import next_view
 from .registration import ERRORS, Aligner, Registered, Target, thinned
 
-_STILL_M, _MOST_AGAIN = 1.0, 2
-"""Shift beyond which an alignment is repeated from its result, and the most repetitions."""
 _STOREY_SAMPLE = 200
 """Points of a query in the search for other storeys."""
 _CLOSE_VOXEL_M = 0.3
@@ -321,15 +319,15 @@ class MapCloud:
         poses = self._relative(T_one), self._relative(T_other)
         return next_view(self._target.index, self._path, *poses)
 
-    def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
-        """Return the poses around one at which the clouds roughly fit."""
+    def around(self, T_map_local: Pose, query: QueryCloud) -> list[Pose]:
+        """Return the poses at other places around one at which the clouds roughly fit."""
         T, config = self._relative(T_map_local), self._config
-        found = self._nearby.around(query.sample, T)
         few = thinned(query.sample, _STOREY_SAMPLE)
-        others = self._nearby.storeys(few, found.start, config.coarse_radius)
-        return Surroundings(
-            self._absolute(found.start), [self._absolute(T) for T in [*found.rivals, *others]]
-        )
+        beside = self._nearby.around(query.sample, T)
+        return [
+            self._absolute(T)
+            for T in (*beside, *self._nearby.storeys(few, T, config.coarse_radius))
+        ]
 
     def aligned(self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None) -> Aligned:
         """Align some of a query's points from a pose; at the pose itself if ICP fails.
@@ -430,7 +428,7 @@ class MapCloud:
     ) -> tuple[Pose, Registered | None]:
         """Return the pose that is aligned, relative to the origin, and its alignment, if any."""
         T = self._relative(T_map_local)
-        found = self._best(T, query, roughly)
+        found = self._registered(T, query, roughly)
         if found is None:
             return T, None
         if known is not None:
@@ -439,35 +437,18 @@ class MapCloud:
                 return stay, None
         return found.T_target_source, found
 
-    def _best(self, T: Pose, query: QueryCloud, roughly: bool) -> Registered | None:
-        """Return the alignment from T; one with all points is repeated until it converges."""
-        found = self._registered(T, T, query, roughly)
-        for _ in range(0 if roughly else _MOST_AGAIN):
-            if found is None or found.shift_m < _STILL_M:
-                break
-            again = self._registered(found.T_target_source, T, query, roughly)
-            if again is None or again.overlap <= found.overlap:
-                break
-            found = again
-        return found
-
-    def _registered(
-        self, start: Pose, T: Pose, query: QueryCloud, roughly: bool
-    ) -> Registered | None:
+    def _registered(self, T: Pose, query: QueryCloud, roughly: bool) -> Registered | None:
         """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._config.refine:
             return None
-        key = self._origin.tobytes() + start.tobytes() + bytes([roughly])
+        key = self._origin.tobytes() + T.tobytes() + bytes([roughly])
         if key not in query.aligned:
             radius = self._config.overlap_radius
             query.aligned[key] = self._aligner.register(
-                self._target, query, start, radius, roughly=roughly
+                self._target, query, T, radius, roughly=roughly
             )
         found = query.aligned[key]
-        if found is None:
-            return None
-        metres = float(np.linalg.norm(found.T_target_source[:3, 3] - T[:3, 3]))
-        return None if metres > self._separation.metres else found
+        return None if found is None or found.shift_m > self._separation.metres else found
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)

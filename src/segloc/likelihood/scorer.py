@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,12 +28,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
-_FIRST = 2
-"""Candidates of each proposer that are among the promising ones, by its own order."""
 _FEW_RIVALS = 3
 """Places that overlap most, with which a pose is compared first."""
-_MORE = 4
-"""Further places that may be aligned: those about the best one."""
 
 Inliers = Callable[[Pose], int]
 """Counts the distinct query segments that agree with a pose T_map_local."""
@@ -72,9 +67,14 @@ class Likelihood:
         """Preprocess a query's cloud for comparison with the map; reusable."""
         return self.cloud.query(scene)
 
-    def scorer(self, query: QueryCloud, allowed: Allowed = lambda _: True) -> Scorer:
+    def scorer(
+        self,
+        query: QueryCloud,
+        inliers: Inliers = as_by_chance,
+        allowed: Allowed = lambda _: True,
+    ) -> Scorer:
         """Return the scorer of one query; places that are not ``allowed`` are ignored."""
-        return Scorer(self, query, allowed)
+        return Scorer(self, query, inliers, allowed)
 
     def compared(self, query: QueryCloud, poses: Sequence[Pose]) -> Posterior:
         """Compare a query at known poses T_map_local, and at those around them, without search.
@@ -82,7 +82,7 @@ class Likelihood:
         Segments are not matched: they count neither for nor against a pose.
         """
         scorer = self.scorer(query)
-        scorer.add((), as_by_chance, poses)
+        scorer.add((), poses)
         return scorer.measure()
 
     def segments_suffice(self, inliers: int, elsewhere: int) -> bool:
@@ -117,8 +117,6 @@ class Trial:
         Number of distinct query segments that agree with the pose.
     overlap : float
         Overlap before alignment.
-    rank : int
-        Number of better candidates by its own proposer.
     known : (4, 4) float64 or None
         Pose, known from elsewhere, that is measured to the end, whatever it promises.
     measures : tuple of float
@@ -138,7 +136,6 @@ class Trial:
     T_map_local: Pose
     inliers: int
     overlap: float
-    rank: int
     known: Pose | None = None
     measures: tuple[float, ...] = ()
     aligned: Aligned | None = None
@@ -170,8 +167,11 @@ class Scorer:
         Distinct places under consideration.
     """
 
-    def __init__(self, likelihood: Likelihood, query: QueryCloud, allowed: Allowed) -> None:
-        self._likelihood, self._query, self._allowed = likelihood, query, allowed
+    def __init__(
+        self, likelihood: Likelihood, query: QueryCloud, inliers: Inliers, allowed: Allowed
+    ) -> None:
+        self._likelihood, self._query = likelihood, query
+        self._inliers, self._allowed = inliers, allowed
         self._config, self._model = likelihood.config, likelihood.model
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
@@ -188,33 +188,21 @@ class Scorer:
         """Fits at the distinct places that were measured to the end."""
         return [place.fit for place in self.places if place.fit is not None]
 
-    def add(
-        self, candidates: Sequence[Candidate], inliers: Inliers, known: Sequence[Pose] = ()
-    ) -> None:
-        """Consider candidates: all so far, with their inliers by the newest matches.
+    def add(self, candidates: Sequence[Candidate], known: Sequence[Pose] = ()) -> None:
+        """Consider candidates: all so far.
 
         Parameters
         ----------
         candidates : sequence of Candidate
             T_map_local.
-        inliers : callable
-            Counts the segments that agree with a pose.
         known : sequence of (4, 4) float64
             Poses T_map_local that are measured to the end, whatever they promise; where they are
             if what fits is another place.
         """
-        self._inliers = inliers
         if candidates:
             self._candidates = np.stack([c.T_map_local for c in candidates])
             self._inliers_there = np.array([c.inliers for c in candidates])
-        for place in self.places:
-            self._count(place)
-        count = Counter[str]()
-        poses = []
-        for c in candidates:
-            poses.append((c.T_map_local, c.inliers, count[c.proposer]))
-            count[c.proposer] += 1
-        self._consider(poses, known)
+        self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""
@@ -234,15 +222,14 @@ class Scorer:
         most promising ones to the end, whatever they promise.
         """
         first = self._begin()
-        if not thorough and first is not None and first.promise >= -self._threshold:
+        if first is not None and not thorough:
             # What a view says of known poses was fitted beside rivals that were met.
-            likely = first.promise >= self._sure and all(
-                place.known is None for place in self.places
-            )
-            for rivals in (0, _FEW_RIVALS) if likely else (_FEW_RIVALS,):
-                if self._try_beside(rivals):
+            known = any(place.known is not None for place in self.places)
+            stages = (0, self._sure), (_FEW_RIVALS, -self._threshold)
+            for rivals, least in stages[1:] if known else stages:
+                if first.promise >= least and self._try_beside(rivals):
                     return self.posterior()
-        promising = sorted(self.places, key=lambda p: (p.rank >= _FIRST, -p.rough))
+        promising = sorted(self.places, key=lambda p: (p.known is None, -p.rough))
         self._meet(promising[: self._config.max_places])
         self._decide(thorough)
         return self.posterior()
@@ -283,13 +270,14 @@ class Scorer:
         return replace(place.scored, T_map_local=T_map_local, covariance=covariance)
 
     def _begin(self) -> Trial | None:
-        """Align the most promising place, from the best start about it, and return it."""
+        """Align the most promising place, consider those about it, and return it."""
         if not self.places:
             return None
         first = max(self.places, key=lambda place: place.rough)
-        start = self._surround(first)
         if first.aligned is None:
-            self._align(first, start)
+            self._align(first)
+        if first.known is not None or first.promise >= -self._threshold:
+            self._surround(first)
         return first
 
     def _meet(self, rivals: Sequence[Trial]) -> None:
@@ -313,13 +301,16 @@ class Scorer:
         while (place := self._next(thorough)) is not None:
             self._advance(place)
             leader = self._leader()
-            if leader is not None and (thorough or leader.log_ratio >= self._threshold):
+            if leader is None:
+                continue
+            if thorough or leader.known is not None or leader.log_ratio >= self._threshold:
                 self._surround(leader)
 
     def _next(self, thorough: bool) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""
         begun = sum(place.aligned is not None for place in self.places)
-        may_begin = begun < (_MOST_ALIGNED if thorough else self._config.max_places + _MORE)
+        most = self._config.max_places + self._config.nearby.most  # those about the best one
+        may_begin = begun < (_MOST_ALIGNED if thorough else most)
         for place in self.places:
             if place.known is not None and place.fit is None:
                 return place
@@ -354,13 +345,9 @@ class Scorer:
         if place.fit is not None:
             self._score()
 
-    def _align(self, place: Trial, start: Pose | None = None) -> None:
-        """Align a place, also from a better start if there is one."""
+    def _align(self, place: Trial) -> None:
+        """Align a place with some of the points."""
         place.aligned = self._map.aligned(place.T_map_local, self._query, place.known)
-        if start is not None and not np.array_equal(start, place.T_map_local):
-            other = self._map.aligned(start, self._query, place.known)
-            if other.overlap > place.aligned.overlap:
-                place.aligned = other
         place.T_map_local = place.aligned.T_map_local
         self._count(place)
         place.expect(self._model)
@@ -371,26 +358,21 @@ class Scorer:
         if place.fit is not None:
             place.fit.inliers = place.inliers
 
-    def _surround(self, place: Trial) -> Pose | None:
-        """Consider the poses around a place at which the clouds fit; return a better start."""
-        apart = self._separation.apart
-        if not all(apart(place.T_map_local, T) for T in self._surrounded):
-            return None
-        self._surrounded.append(place.T_map_local)
-        around = self._map.around(place.T_map_local, self._query)
-        near = [T for T in around.rivals if self._allowed(T)]
-        self._consider([(T, self._inliers(T), _FIRST) for T in near])
-        return around.start
+    def _surround(self, place: Trial) -> None:
+        """Consider the poses around a place at which the clouds fit, once."""
+        here, apart = place.T_map_local, self._separation.apart
+        if all(apart(here, T) for T in self._surrounded):
+            self._surrounded.append(here)
+            around = [T for T in self._map.around(here, self._query) if self._allowed(T)]
+            self._consider([(T, self._inliers(T)) for T in around])
 
-    def _consider(
-        self, proposed: Sequence[tuple[Pose, int, int]], known: Sequence[Pose] = ()
-    ) -> None:
-        """Add poses with their inliers and ranks, known ones or the most promising at a place."""
-        poses = [*((T, self._inliers(T), 0) for T in known), *proposed]
+    def _consider(self, proposed: Sequence[tuple[Pose, int]], known: Sequence[Pose] = ()) -> None:
+        """Add poses with their inliers, known ones or the most promising at a place."""
+        poses = [*((T, self._inliers(T)) for T in known), *proposed]
         if not poses:
             return
-        overlaps = self._map.rough_overlap([T for T, *_ in poses], self._query)
-        fresh = [Trial(T, n, o, k) for (T, n, k), o in zip(poses, overlaps, strict=True)]
+        overlaps = self._map.rough_overlap([T for T, _ in poses], self._query)
+        fresh = [Trial(T, n, o) for (T, n), o in zip(poses, overlaps, strict=True)]
         for place, T in zip(fresh, known, strict=False):
             place.known = T
         begun = [place for place in self.places if place.aligned is not None]
@@ -422,7 +404,6 @@ class Scorer:
         """Keep the better of two that were measured at one place."""
         for other in self._same(place):
             worse, better = sorted((place, other), key=_merit)
-            better.rank = min(place.rank, other.rank)
             better.known = worse.known if better.known is None else better.known
             self.places = [each for each in self.places if each is not worse]
             if worse is place:

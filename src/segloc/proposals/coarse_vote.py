@@ -44,7 +44,7 @@ class CoarseVoter:
         threads: int,
         seed: int,
     ) -> None:
-        self._centroids, self._matcher = thin.centroids, matcher.once(GROWTH, PROBES)
+        self._centroids, self._matcher = thin.centroids, matcher.cheaper(GROWTH, PROBES)
         self._reach_m = reach_m
         self._by_x = np.argsort(self._centroids[:, 0], kind="stable").astype(np.int32)
         self._x, self._y = self._centroids[self._by_x, :2].T.copy()

@@ -13,9 +13,6 @@ from ..map.segment_map import SegmentMap
 from ..system.section import Section
 from ..types import Descriptors, Float32, Int64, Matches
 
-Nearest = tuple[Int64, Float32]
-"""Map segments and their distances, (P, K), nearest first."""
-
 
 class MatchingConfig(Section):
     """Number of matches per query segment."""
@@ -30,13 +27,6 @@ class MatchingConfig(Section):
         50_000, ge=1, le=1000000000000, description="segments of a map from which neighbours grow"
     )
     max_neighbours: int = Field(200, ge=1, le=10000, description="most neighbours after growth")
-    escalation: int = Field(
-        4,
-        ge=1,
-        le=1000,
-        description="neighbour multiplier of the single retry; 1: no retry",
-    )
-    max_escalated: int = Field(400, ge=1, le=10000, description="most neighbours of the retry")
     indexed_from: int = Field(
         100_000,
         ge=1,
@@ -52,16 +42,14 @@ class MatchingConfig(Section):
         description="least probability of a match by the method's forest or FC4",
     )
 
-    def schedule(self, segments: int) -> tuple[int, ...]:
-        """Return the neighbours per query segment: of the first attempt and of the retry.
+    def neighbours_among(self, segments: int) -> int:
+        """Return the neighbours per query segment in a map of so many segments.
 
         In a larger map more segments are similar by chance, so the true neighbour ranks lower.
         """
         share = max(1.0, segments / self.grows_from)
-        grown = min(round(self.neighbours * share**self.growth), self.max_neighbours)
-        first = max(self.neighbours, grown)
-        second = min(self.escalation * first, self.max_escalated)
-        return (first, second) if second > first else (first,)
+        grown: int = round(self.neighbours * share**self.growth)
+        return max(self.neighbours, min(grown, self.max_neighbours))
 
 
 class Matcher:
@@ -74,8 +62,8 @@ class Matcher:
 
     Attributes
     ----------
-    schedule : tuple of int
-        Neighbours per query segment: of the first attempt and of the retry.
+    neighbours : int
+        Neighbours per query segment.
     """
 
     def __init__(
@@ -91,7 +79,7 @@ class Matcher:
         self._map = prior_map
         # Unpacked vectors are kept where each query needs them.
         self._vectors = None if pruner is None else prior_map.vectors
-        self.schedule = self.config.schedule(len(prior_map))
+        self.neighbours = self.config.neighbours_among(len(prior_map))
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
         self._index = _index(prior_map, max(lists, 1), threads)
@@ -102,40 +90,37 @@ class Matcher:
     def among(self, rows: Int64) -> Matcher:
         """Return a matcher for some of the map's segments; its search is exact."""
         some = copy(self)
-        some.schedule = self.config.schedule(len(rows))[: len(self.schedule)]
+        some.neighbours = self.config.neighbours_among(len(rows))
         coded = self._map.coded_vectors
         vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
         some._index = _native.DescriptorIndex(vectors, 1, self._threads)
         some._rows = rows
         return some
 
-    def once(self, growth: float, probes: int) -> Matcher:
-        """Return a matcher without a retry, for fewer neighbours from fewer lists."""
+    def cheaper(self, growth: float, probes: int) -> Matcher:
+        """Return a matcher for fewer neighbours from fewer lists."""
         some = copy(self)
         some.config = self.config.model_copy(update={"growth": growth, "probes": probes})
-        some.schedule = some.config.schedule(len(self._map))[:1]
+        some.neighbours = some.config.neighbours_among(len(self._map))
         return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
         """Match each query segment to its nearest map segments, best match first.
 
-        Their number is ``neighbours``, by default the first of the ``schedule``.
+        Their number is by default that of the matcher. The score of a match is exp(-distance),
+        times the quality of both descriptors if they have one.
         """
-        return self.neighbours(query).matches(neighbours or self.schedule[0])
-
-    def neighbours(self, query: Descriptors) -> NeighbourSearch:
-        """Return the neighbour search of a query."""
-        return NeighbourSearch(self, query)
-
-    def nearest(self, query: Descriptors, neighbours: int) -> Nearest:
-        """Return the nearest map segments of each query segment, with distances, nearest first."""
-        found = self._index.search(query.vectors, neighbours, self.config.probes, self._threads)
-        return found if self._rows is None else (self._rows[found[0]], found[1])
-
-    @property
-    def has_index(self) -> bool:
-        """Whether the map has an approximate index."""
-        return self._index.lists > 1
+        nearest, distances = self._index.search(
+            query.vectors, neighbours or self.neighbours, self.config.probes, self._threads
+        )
+        rows = np.repeat(np.arange(len(query), dtype=np.int64), nearest.shape[1])
+        columns, distance = nearest.reshape(-1), distances.reshape(-1)
+        if self._rows is not None:
+            columns = self._rows[columns]
+        score = np.exp(-distance)
+        if query.quality is not None and self.map_quality is not None:
+            score *= query.quality[rows] * self.map_quality[columns]
+        return _order(rows, columns, distance, score)
 
     def prune(self, query: Descriptors, matches: Matches) -> Matches:
         """Return the probable matches, scored by probability; all matches without a pruner."""
@@ -146,43 +131,6 @@ class Matcher:
         )
         keep = score >= self.config.min_probability
         return _order(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
-
-
-class NeighbourSearch:
-    """Neighbour search of one query; a retry reuses the results of an index.
-
-    An index is read once, for the largest number in the schedule. The first attempt takes the
-    nearest of these, which costs it a third more; the retry is then free. Maps without an index are
-    searched each time.
-    """
-
-    def __init__(self, matcher: Matcher, query: Descriptors) -> None:
-        self._matcher, self._query = matcher, query
-        self._found: Nearest | None = None
-
-    def matches(self, neighbours: int) -> Matches:
-        """Match each query segment to its nearest map segments, best match first.
-
-        The score of a match is exp(-distance), times the quality of both descriptors if they have
-        one.
-        """
-        nearest, distances = self._nearest(neighbours)
-        nearest, distances = nearest[:, :neighbours], distances[:, :neighbours]
-        rows = np.repeat(np.arange(len(self._query), dtype=np.int64), nearest.shape[1])
-        columns, distance = nearest.reshape(-1), distances.reshape(-1)
-        score = np.exp(-distance)
-        map_quality = self._matcher.map_quality
-        if self._query.quality is not None and map_quality is not None:
-            score *= self._query.quality[rows] * map_quality[columns]
-        return _order(rows, columns, distance, score)
-
-    def _nearest(self, neighbours: int) -> Nearest:
-        if not self._matcher.has_index:
-            return self._matcher.nearest(self._query, neighbours)
-        if self._found is None or self._found[0].shape[1] < neighbours:
-            most = max(neighbours, self._matcher.schedule[-1])
-            self._found = self._matcher.nearest(self._query, most)
-        return self._found
 
 
 def _index(prior_map: SegmentMap, lists: int, threads: int) -> _native.DescriptorIndex:

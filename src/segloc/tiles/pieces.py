@@ -12,7 +12,6 @@ from ..config import Config
 from ..descriptors import Pruner
 from ..frontend.segmentation import Segmentation
 from ..likelihood import Likelihood, shipped_model
-from ..likelihood.nearby import Surroundings
 from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud
 from ..likelihood.registration import Aligner
 from ..localization import NextView
@@ -150,8 +149,8 @@ class TiledCloud:
         """Return the shortest step that separates two poses T_map_sensor."""
         return self._pieces.cloud(self._owners([T_one])[0]).next_view(T_one, T_other)
 
-    def around(self, T_map_local: Pose, query: QueryCloud) -> Surroundings:
-        """Return the poses around one at which the clouds roughly fit."""
+    def around(self, T_map_local: Pose, query: QueryCloud) -> list[Pose]:
+        """Return the poses at other places around one, as in one map."""
         return self._at(T_map_local, query).around(T_map_local, query)
 
     def aligned(self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None) -> Aligned:
