@@ -40,6 +40,7 @@ FOR_USERS = (
     "mapping.views",
     "mapping.level",
     "matching.neighbours",
+    "matching.escalation",
     "pose.estimator",
     "occupancy.enabled",
     "proposers",

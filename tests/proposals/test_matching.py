@@ -127,7 +127,7 @@ def test_matches_come_by_score_then_query_then_segment(n: int, levels: int, seed
     np.testing.assert_array_equal(order, np.lexsort((prior_map, query, -score)))
 
 
-def test_a_longer_search_begins_with_the_shorter_one() -> None:
+def test_queries_of_few_segments_get_more_neighbours() -> None:
     rng = np.random.default_rng(5)
     prior_map = SegmentMap.empty("geo", "geo", 7)
     prior_map.add(
@@ -140,10 +140,14 @@ def test_a_longer_search_begins_with_the_shorter_one() -> None:
     )
     query = Descriptors(rng.normal(size=(40, 7)).astype(np.float32))
     for indexed_from in (1000, 10_000):  # with an index and without
-        config = MatchingConfig(indexed_from=indexed_from, list_size=100, probes=6)
-        matcher = Matcher(prior_map, config, threads=1)
-        few, many = matcher.match(query), matcher.match(query, 4 * matcher.neighbours)
-        assert len(few) == 40 * matcher.neighbours and len(many) == 4 * len(few)
+        found = []
+        for matches in (100, 2400, 10_000):
+            config = MatchingConfig(
+                indexed_from=indexed_from, list_size=100, probes=6, matches=matches
+            )
+            found.append(Matcher(prior_map, config, threads=1).match(query))
+        assert [len(each) for each in found] == [40 * 25, 2400, 40 * 100]
+        few, _, many = found
         for row in range(40):
-            nearest = many.map[many.query == row][: matcher.neighbours]
+            nearest = many.map[many.query == row][:25]
             np.testing.assert_array_equal(nearest, few.map[few.query == row])

@@ -58,7 +58,7 @@ def test_a_rejected_pose_names_its_gate(prior_map: SegmentMap, walk: PlazaSequen
 def test_matches_and_segments_that_are_missing(prior_map: SegmentMap, walk: PlazaSequence) -> None:
     shuffled = remade(prior_map, vectors=np.roll(prior_map.vectors, 7, axis=0))
     matching = Config.preset("geo").matching
-    one = matching.model_copy(update={"neighbours": 1})
+    one = matching.model_copy(update={"neighbours": 1, "escalation": 1})
     few = by_segments(matching=one, threads=1)
     assert stages(Localizer(shuffled, few), walk) == {"true neighbours not matched"}
     moved = remade(prior_map, centroids=prior_map.centroids + np.array([0, 0, 30.0]))

@@ -137,7 +137,7 @@ def test_stems_settle_what_segments_leave_open() -> None:
     config = config.model_copy(
         update={
             "occupancy": config.occupancy.model_copy(update={"enabled": False}),
-            "matching": config.matching.model_copy(update={"neighbours": 1}),
+            "matching": config.matching.model_copy(update={"neighbours": 1, "escalation": 1}),
         }
     )
     prior_map = build_map(Walk(equal()), config)

@@ -15,7 +15,7 @@ SHAPE_WEIGHT = 2.0
 """Planarity and cylindricality lie in [0, 1]; the other numbers are metres."""
 
 
-@register("nsm", preset={"matching": {"neighbours": 200, "growth": 0.0}})
+@register("nsm", preset={"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}})
 class GestaltDescriptor(ForestDescriptor):
     """Heights of a segment's points in 4 rings of 8 sectors around its key pose (66 numbers).
 

@@ -25,6 +25,6 @@ def _create(
 
 for _network in ("dsm", "esm"):
     for _suffix in _JUDGES:
-        register(_network + _suffix, preset={"matching": {"growth": 0.0}})(
+        register(_network + _suffix, preset={"matching": {"growth": 0.0, "escalation": 1}})(
             partial(_create, _network, _suffix)
         )

@@ -123,7 +123,7 @@ class SegMapDescriptor(Descriptor):
         )
 
 
-@register("segmap", preset={"matching": {"growth": 0.0}})
+@register("segmap", preset={"matching": {"growth": 0.0, "escalation": 1}})
 def segmap(threads: int = 0, weights: Path | None = None) -> SegMapDescriptor:
     """Create the descriptor with the shipped weights, or others."""
     return SegMapDescriptor(weights or shipped_weights("segmap.safetensors"), threads)

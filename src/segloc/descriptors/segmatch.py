@@ -22,7 +22,7 @@ ESF_WEIGHT = 30.0
 ESF_BINS = 64
 _MIN_RATIO = 1e-6
 
-_NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0}}
+_NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}}
 
 
 def eigen_features(segments: Segments, threads: int = 0) -> Float64:

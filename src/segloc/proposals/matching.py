@@ -27,6 +27,12 @@ class MatchingConfig(Section):
         50_000, ge=1, le=1000000000000, description="segments of a map from which neighbours grow"
     )
     max_neighbours: int = Field(200, ge=1, le=10000, description="most neighbours after growth")
+    escalation: int = Field(
+        4, ge=1, le=1000, description="most times as many for a query of few segments; 1: as many"
+    )
+    matches: int = Field(
+        4000, ge=1, le=10**9, description="most matches of a query of few segments"
+    )
     indexed_from: int = Field(
         100_000,
         ge=1,
@@ -42,14 +48,16 @@ class MatchingConfig(Section):
         description="least probability of a match by the method's forest or FC4",
     )
 
-    def neighbours_among(self, segments: int) -> int:
-        """Return the neighbours per query segment in a map of so many segments.
+    def neighbours_among(self, segments: int, queried: int) -> int:
+        """Return the neighbours per segment of a query of ``queried`` segments in a map.
 
-        In a larger map more segments are similar by chance, so the true neighbour ranks lower.
+        In a larger map more segments are similar by chance, so the true neighbour ranks lower. A
+        query of few segments needs more of their matches, and can afford them.
         """
         share = max(1.0, segments / self.grows_from)
         grown: int = round(self.neighbours * share**self.growth)
-        return max(self.neighbours, min(grown, self.max_neighbours))
+        least = max(self.neighbours, min(grown, self.max_neighbours))
+        return max(least, min(self.escalation * least, self.matches // max(queried, 1)))
 
 
 class Matcher:
@@ -59,11 +67,6 @@ class Matcher:
     the lists of descriptors around the nearest centres.
 
     Methods with a ``pruner`` then keep the probable matches.
-
-    Attributes
-    ----------
-    neighbours : int
-        Neighbours per query segment.
     """
 
     def __init__(
@@ -79,7 +82,6 @@ class Matcher:
         self._map = prior_map
         # Unpacked vectors are kept where each query needs them.
         self._vectors = None if pruner is None else prior_map.vectors
-        self.neighbours = self.config.neighbours_among(len(prior_map))
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
         self._index = _index(prior_map, max(lists, 1), threads)
@@ -90,7 +92,6 @@ class Matcher:
     def among(self, rows: Int64) -> Matcher:
         """Return a matcher for some of the map's segments; its search is exact."""
         some = copy(self)
-        some.neighbours = self.config.neighbours_among(len(rows))
         coded = self._map.coded_vectors
         vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
         some._index = _native.DescriptorIndex(vectors, 1, self._threads)
@@ -99,19 +100,20 @@ class Matcher:
 
     def cheaper(self, growth: float, probes: int) -> Matcher:
         """Return a matcher for fewer neighbours from fewer lists."""
-        some = copy(self)
-        some.config = self.config.model_copy(update={"growth": growth, "probes": probes})
-        some.neighbours = some.config.neighbours_among(len(self._map))
+        some, fewer = copy(self), {"growth": growth, "probes": probes, "escalation": 1}
+        some.config = self.config.model_copy(update=fewer)
         return some
 
     def match(self, query: Descriptors, neighbours: int | None = None) -> Matches:
         """Match each query segment to its nearest map segments, best match first.
 
-        Their number is by default that of the matcher. The score of a match is exp(-distance),
-        times the quality of both descriptors if they have one.
+        Their number is by default that of the configuration. The score of a match is
+        exp(-distance), times the quality of both descriptors if they have one.
         """
+        among = len(self._map) if self._rows is None else len(self._rows)
+        count = neighbours or self.config.neighbours_among(among, len(query))
         nearest, distances = self._index.search(
-            query.vectors, neighbours or self.neighbours, self.config.probes, self._threads
+            query.vectors, count, self.config.probes, self._threads
         )
         rows = np.repeat(np.arange(len(query), dtype=np.int64), nearest.shape[1])
         columns, distance = nearest.reshape(-1), distances.reshape(-1)
