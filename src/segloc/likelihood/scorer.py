@@ -28,6 +28,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
+_FIRST = 2
+"""Candidates of each proposer that are aligned, by its own order."""
 _FEW_RIVALS = 3
 """Places that overlap most, with which a pose is compared first."""
 
@@ -178,6 +180,7 @@ class Scorer:
         self._sure = log_odds(1.0 - self._model.lapse)
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
+        self._first = np.empty((0, 4, 4))
         self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
         self._compared: dict[tuple[int, int], float] = {}
         self._measured: list[Observation] = []  # kept alive: walls are compared by identity
@@ -194,7 +197,7 @@ class Scorer:
         Parameters
         ----------
         candidates : sequence of Candidate
-            T_map_local.
+            T_map_local, those of each proposer best first.
         known : sequence of (4, 4) float64
             Poses T_map_local that are measured to the end, whatever they promise; where they are
             if what fits is another place.
@@ -202,6 +205,9 @@ class Scorer:
         if candidates:
             self._candidates = np.stack([c.T_map_local for c in candidates])
             self._inliers_there = np.array([c.inliers for c in candidates])
+            by = np.array([c.proposer for c in candidates])
+            first = [np.flatnonzero(by == name)[:_FIRST] for name in np.unique(by)]
+            self._first = self._candidates[np.concatenate(first)]
         self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
@@ -229,10 +235,21 @@ class Scorer:
             for rivals, least in stages[1:] if known else stages:
                 if first.promise >= least and self._try_beside(rivals):
                     return self.posterior()
-        promising = sorted(self.places, key=lambda p: (p.known is None, -p.rough))
-        self._meet(promising[: self._config.max_places])
+        self._meet(self._promising())
         self._decide(thorough)
         return self.posterior()
+
+    def _promising(self) -> list[Trial]:
+        """Return the places to align: known ones and the first of each proposer, then others."""
+        if not self.places:
+            return []
+        poses = np.stack([place.T_map_local for place in self.places])
+        others = self._separation.apart_from(poses, self._first).all(axis=1).tolist()
+        ranked = sorted(
+            zip(others, self.places, strict=True),
+            key=lambda item: (item[0] and item[1].known is None, -item[1].rough),
+        )
+        return [place for _, place in ranked[: self._config.max_places]]
 
     def _try_beside(self, rivals: int) -> bool:
         """Measure beside few rivals; return whether a place is as sure as can be.
