@@ -244,12 +244,13 @@ class Scorer:
         if not self.places:
             return []
         poses = np.stack([place.T_map_local for place in self.places])
-        others = self._separation.apart_from(poses, self._first).all(axis=1).tolist()
-        ranked = sorted(
-            zip(others, self.places, strict=True),
-            key=lambda item: (item[0] and item[1].known is None, -item[1].rough),
-        )
-        return [place for _, place in ranked[: self._config.max_places]]
+        apart = self._separation.apart_from(poses, self._first)
+        first = [
+            place.known is not None or not away.all()
+            for place, away in zip(self.places, apart, strict=True)
+        ]
+        order = sorted(range(len(first)), key=lambda k: (not first[k], -self.places[k].rough))
+        return [self.places[k] for k in order[: self._config.max_places]]
 
     def _try_beside(self, rivals: int) -> bool:
         """Measure beside few rivals; return whether a place is as sure as can be.
