@@ -216,7 +216,7 @@ class Localizer:
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        If segments are inconclusive, the proposers are asked, one after the other.
+        If segments are inconclusive, the proposers are used, in order, until a place is accepted.
 
         Parameters
         ----------
@@ -243,8 +243,9 @@ class Localizer:
             with times("verification"):
                 scorer.add(candidates, known_near)
                 posterior = scorer.measure(thorough=thorough)
-            seen = self.prior_map, agreed, candidates
-            found = Search.of(*seen, posterior, scorer.places, min_confidence, near)
+            found = Search.of(
+                self.prior_map, agreed, candidates, posterior, scorer.places, min_confidence, near
+            )
             if found.reason is None and not thorough:
                 return found
         assert found is not None  # the last proposals are always measured
@@ -285,7 +286,7 @@ class Localizer:
         deadline_ms: float | None,
         near: Prior | None,
     ) -> Iterator[tuple[list[Candidate], bool]]:
-        """Yield the candidates so far, of segments, then of each proposer, and if none follows."""
+        """Yield all candidates after each proposer, segments first, and whether it was the last."""
         candidates, left = agreed.candidates, [*self.proposers]
         while left and not times.beyond(deadline_ms):
             yield candidates, False

@@ -15,6 +15,10 @@ from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
 from segloc.likelihood import Aligned, Count, QueryCloud, VerificationConfig
 from segloc.localization import Reason
+from segloc.map.compact import CompactConfig
+from segloc.map.config import MappingConfig
+from segloc.proposals.matching import MatchingConfig
+from segloc.proposals.occupancy import OccupancyConfig
 from segloc.types import Candidate, Float32, Float64, Int64, Pose
 
 
@@ -136,6 +140,26 @@ def test_a_place_is_believed_from_the_probability_that_is_asked_for(plaza: Plaza
     refused = Localizer(prior_map, changed).localize(scan)
     assert not refused.localized and refused.reason is Reason.TOO_UNCERTAIN
     assert refused.T_map_sensor is None and refused.confidence < 1.0
+
+
+def test_queries_of_few_segments_are_found_by_more_neighbours(plaza: Plaza) -> None:
+    every_view = MappingConfig(compact=CompactConfig(enabled=False))
+    config = Config.preset("geo").model_copy(update={"mapping": every_view})
+    prior_map = build_map(PlazaSequence(plaza, steps=6), config)
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    rng = np.random.default_rng(0)
+    # The nearest is hardly ever right:
+    prior_map.vectors[:] += rng.normal(0, 2.5, prior_map.vectors.shape)
+    answers = []
+    for escalation in (1, 80):
+        matching = MatchingConfig(neighbours=1, escalation=escalation, matches=10**6)
+        clouds = OccupancyConfig(enabled=False)
+        config = Config.preset("geo").model_copy(update={"matching": matching, "occupancy": clouds})
+        answers.append(Localizer(prior_map, config).localize(scan))
+    lost, found = answers
+    assert not lost.localized and lost.confidence < 0.5
+    assert found.localized
+    assert found.counts["proposed"] == min(80, len(prior_map)) * found.counts["segments"]
 
 
 def test_fits_that_converge_to_one_pose_are_one_place(

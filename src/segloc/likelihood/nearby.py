@@ -54,7 +54,10 @@ class NearbySearch:
         self._headings = [math.radians(d) for d in _TURNS_DEG]
 
     def around(self, points: Float32, T: Pose) -> list[Pose]:
-        """Return the best poses at other places around T, the transform of (N, 3) points."""
+        """Return the best poses at other places around T.
+
+        T is the transform of (N, 3) points to the map's cloud.
+        """
         config = self._config
         counts, used = self._index.correlate(
             points, T, self._headings, config.cell_m, config.half_width_m, config.range_m

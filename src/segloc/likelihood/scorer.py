@@ -192,7 +192,7 @@ class Scorer:
         return [place.fit for place in self.places if place.fit is not None]
 
     def add(self, candidates: Sequence[Candidate], known: Sequence[Pose] = ()) -> None:
-        """Consider candidates: all so far.
+        """Add all candidates found so far.
 
         Parameters
         ----------
