@@ -95,5 +95,9 @@ def test_pieces_that_were_cut_off_and_put_together_are_one_run(
         protocol.answers_of((method,), tmp_path, tmp_path / "two", requested.append, workers=1)
     assert len(requested) == 8
     assert protocol.stored(tmp_path / "two") == protocol.stored(tmp_path / "one") == whole
+    (counts,) = protocol.study(protocol.stored(tmp_path / "two")).tables
+    assert [(name, *found[-2:]) for name, _, _, *found in counts.rows] == [
+        (name, "2", "2") for name in ("segmatch-eigen", "geo")
+    ]
     monkeypatch.setattr(protocol, "_measure", lambda *_: pytest.fail("measured again"))
     assert protocol.answers_of(METHODS, tmp_path, tmp_path / "two", say=str) == whole

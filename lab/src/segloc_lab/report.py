@@ -105,12 +105,16 @@ _PACKAGES = ("segloc", "numpy", "scipy")
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of one table, a note on how to read them, and a heading where there are several."""
+    """Rows of one table, a note on how to read them, and a heading where there are several.
+
+    Without columns it is a piece of text.
+    """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     note: str = ""
     title: str = ""
+    level: int = 2
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
@@ -126,7 +130,7 @@ class Table:
         """Format the heading, the table and the note as paragraphs of Markdown."""
         rows = (self.columns, ["---"] * len(self.columns), *self.rows) if self.columns else ()
         table = "\n".join(row(*map(_text, cells)) for cells in rows)
-        heading = f"## {self.title}" if self.title else ""
+        heading = f"{'#' * self.level} {self.title}" if self.title else ""
         return [part for part in (heading, table, self.note) if part]
 
 
@@ -137,8 +141,10 @@ def publish(folder: Path | None, title: str, *tables: Table) -> None:
         print(write(folder, title, tables))
 
 
-def write(folder: Path, title: str, tables: Sequence[Table]) -> Path:
-    """Write a report into a new folder."""
+def write(
+    folder: Path, title: str, tables: Sequence[Table], pictures: Mapping[str, bytes] | None = None
+) -> Path:
+    """Write a report into a new folder, with pictures by file name."""
     require_new(folder)
     folder.mkdir(parents=True)
     minutes = (time.monotonic() - _BEGAN) / 60
@@ -149,10 +155,12 @@ def write(folder: Path, title: str, tables: Sequence[Table]) -> Path:
     ]
     for table in tables:
         parts += table.parts()
-    rows = [{"title": t.title, "columns": t.columns, "rows": t.rows} for t in tables]
+    rows = [{"title": t.title, "columns": t.columns, "rows": t.rows} for t in tables if t.columns]
     write_text(folder / "REPORT.md", "\n\n".join(parts) + "\n")
     write_text(folder / "rows.json", json.dumps(rows, ensure_ascii=False, indent=1) + "\n")
     write_text(folder / "environment.txt", environment())
+    for name, picture in (pictures or {}).items():
+        (folder / name).write_bytes(picture)
     return folder / "REPORT.md"
 
 

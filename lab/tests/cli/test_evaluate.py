@@ -7,10 +7,12 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from samples.tiny_suite import TINY
-from segloc_lab.evaluation.study import Study
+from segloc_lab.evaluation.study import Figure, Study, Table
 from segloc_lab.simulation import record
+from segloc_lab.studies import kitti_paper
 from segloc_lab.studies.paper import workspace as studies
 
 from segloc.errors import ConfigError, DatasetError, MissingDependency
@@ -62,13 +64,34 @@ def test_all_runs_every_study_and_leaves_out_what_cannot_be(
         if name == "memory":
             raise MissingDependency("torch", "lab", "measuring memory")
         done.append(name)
-        return Study(name, name.title())
+        curve = np.array([0.0, 1.0]), np.array([0.0, 1.0])
+        figures = (
+            Figure(name, "curves", "roc", {"a": curve}),
+            Figure("m", "map", "map", {"a": curve}),
+        )
+        tables = (
+            Table("t", f"{name} here", ("method", "area"), (("a", 0.25),)),
+            Table("p", f"{name} there", ("method", "area"), (("a", 0.5),), source="paper"),
+        )
+        return Study(name, name.title(), tables, figures, text=f"What is {name}?")
 
     monkeypatch.setattr(studies, "run", run)
-    evaluate("all", "--out", tmp_path)
+    monkeypatch.setattr(kitti_paper, "answers_of", lambda *_: {})
+    monkeypatch.setattr(kitti_paper, "study", lambda _: run("kitti-paper", None))
+    (tmp_path / "kitti" / "keyframes").mkdir(parents=True)
+    options = "--out", tmp_path / "out", "--report", tmp_path / "report"
+    evaluate("all", "--kitti", tmp_path / "kitti", *options)
     told = capsys.readouterr()
     assert "measuring memory needs torch" in " ".join(told.err.split())
-    assert done == [name for name in studies.STUDIES if name != "memory"]
+    assert done == [*(name for name in studies.STUDIES if name != "memory"), "kitti-paper"]
+    page = (tmp_path / "report" / "REPORT.md").read_text("utf-8")
+    pictures = [f"{name}.png" for name in done]
+    assert sorted(file.name for file in tmp_path.glob("report/*.png")) == sorted(pictures)
+    for name in done:  # one page: question, measured and published figures, picture
+        parts = [f"## {name.title()}", f"What is {name}?", f"### {name} here", "| a | 0.25 |"]
+        parts += [f"### {name} there (published)", "| a | 0.5 |", f"({name}.png)"]
+        places = [page.index(part, page.index(parts[0])) for part in parts]
+        assert places == sorted(places)
 
 
 def stored(out: Path) -> list[dict[str, Any]]:

@@ -90,6 +90,12 @@ def command_line() -> str:
     return shlex.join(["segloc", *sys.argv[1:]])
 
 
+def _save(study: Study, out: Path) -> None:
+    """Store a study, and show it."""
+    study.save(out / study.name)
+    show(study, out)
+
+
 def show(study: Study, out: Path) -> None:
     """Print the tables that fit a screen, and where the study is stored."""
     from ..evaluation.study import LONG_ROWS
@@ -126,26 +132,29 @@ def kitti_paper(
     Everything before the last 1300 m is mapped, and a cloud every 9.7 m of the rest is localized.
     K and the minimum number of inliers are chosen for each method at other places.
     """
-    from ..report import publish, require_new
-    from ..studies.kitti_paper import counts, differences
+    from ..report import require_new
+    from ..studies.kitti_paper import NAME, study
     from ..studies.kitti_paper import stored as read
 
     require_new(report)
-    folder = out / "kitti-paper"
-    answers = read(folder) if stored else _measured(kitti, folder, methods, verify, workers, draws)
-    tables = [counts(answers)]
-    if "dsm" in answers:
-        tables.append(differences(answers))
-    publish(report, "The paper's protocol on KITTI 00", *tables)
+    folder = out / NAME
+    found = study(
+        read(folder)
+        if stored
+        else _measured(kitti, folder, split_names(methods), workers, verify, draws)
+    )
+    _save(found, out)
+    if report is not None:
+        _publish(report, [found])
 
 
 def _measured(
     kitti: Path | None,
     folder: Path,
-    methods: str | None,
-    verify: bool,
+    methods: tuple[str, ...] | None,
     workers: int,
-    draws: int | None,
+    verify: bool = True,
+    draws: int | None = None,
 ) -> dict[str, Any]:
     from ..evaluation.comparison import ready
     from ..studies.kitti_paper import DRAWS, answers_of
@@ -154,7 +163,7 @@ def _measured(
         raise ConfigError("no recording: pass --kitti DATA")
     if not (kitti / "keyframes").is_dir():
         raise DatasetError(f"{kitti / 'keyframes'}: no such folder; --kitti needs keyframes")
-    selection = ready(split_names(methods))
+    selection = ready(methods)
     if selection.left_out:
         note(selection.note())
     return answers_of(selection.names, kitti, folder, say, verify, workers, draws or DRAWS)
@@ -273,8 +282,7 @@ def localization(
     scenario = PairScenario(Pair(*files, every))
     with _workspace(Workspace, out, methods, 0, threads, workers, cluster) as space:
         study = compare(space, [scenario], "own", "Localization of your own recordings")
-    study.save(out / study.name)
-    show(study, out)
+    _save(study, out)
 
 
 @contextmanager
@@ -313,6 +321,7 @@ def _run(study: str, workspace: Workspace, report: Path | None) -> None:
 
 def _run_all(workspace: Workspace) -> Iterator[Study]:
     """Run every study; skip those with missing packages, with a remark."""
+    from ..studies import kitti_paper
     from ..studies.paper import workspace as studies
 
     for name in studies.STUDIES:
@@ -321,16 +330,21 @@ def _run_all(workspace: Workspace) -> Iterator[Study]:
             yield studies.run(name, workspace)
         except MissingDependency as error:
             note(f"{name} skipped: {error}")
+    if workspace.data is not None:
+        say(f"segloc evaluate {kitti_paper.NAME}")
+        folder = workspace.out / kitti_paper.NAME
+        answers = _measured(workspace.data, folder, workspace.methods, workspace.workers)
+        study = kitti_paper.study(answers)
+        study.save(folder)
+        yield study
 
 
 def _publish(folder: Path, found: list[Study]) -> None:
-    """Write the measured tables, without published figures."""
-    from ..report import Table, write
+    """Write a report of the studies, with published figures beside and drawn curves."""
+    from ..report import write
 
-    tables = [
-        Table(each.columns, each.rows, each.note, each.title)
-        for study in found
-        for each in study.tables
-        if each.source == "segloc"
-    ]
-    say(f"stored in {write(folder, ', '.join(study.title for study in found), tables)}")
+    alone = len(found) == 1
+    title = found[0].title if alone else "The studies of the paper"
+    parts = [part for study in found for part in study.parts(alone=alone)]
+    pictures = {name: drawn for study in found for name, drawn in study.pictures().items()}
+    say(f"stored in {write(folder, title, parts, pictures)}")

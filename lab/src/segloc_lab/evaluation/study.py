@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,9 +56,13 @@ class Table:
 
     def text(self) -> str:
         """Format the table as Markdown with four significant digits."""
-        rows = [tuple(map(_short, row)) for row in self.rows]
+        rows = tuple(tuple(map(_short, row)) for row in self.rows)
+        return "\n\n".join(replace(self, rows=rows).part(level=2).parts())
+
+    def part(self, level: int) -> report.Table:
+        """Return the table as a part of a report, with a heading of this level."""
         title = f"{self.title} (published)" if self.source == "paper" else self.title
-        return "\n\n".join(report.Table(self.columns, rows, self.note, title).parts())
+        return report.Table(self.columns, self.rows, self.note, title, level)
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,22 @@ class Study:
     figures: tuple[Figure, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     text: str = ""
+
+    def parts(self, *, alone: bool) -> list[report.Table]:
+        """Return text, tables and links to pictures as parts of a report, with a title if among
+        other studies.
+        """
+        links = "\n\n".join(f"![{figure.title}]({figure.name}.png)" for figure in self._curves())
+        tables = [table.part(level=2 if alone else 3) for table in self.tables]
+        head = report.Table((), (), self.text.strip(), "" if alone else self.title)
+        return [head, *tables, report.Table((), (), links)]
+
+    def pictures(self) -> dict[str, bytes]:
+        """Draw the pictures of a report: maps, of which there are very many, are not."""
+        return {f"{figure.name}.png": figure.draw() for figure in self._curves()}
+
+    def _curves(self) -> list[Figure]:
+        return [figure for figure in self.figures if figure.kind != "map"]
 
     def save(self, folder: Path) -> None:
         """Write ``REPORT.md``, ``study.json`` with every digit, and a picture per figure.
