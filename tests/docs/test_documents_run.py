@@ -32,7 +32,6 @@ NOT_RUN = {
     r"python -m segloc_lab": LABORATORY,
     r"(lab/src/)\S+\.sh": LABORATORY,
     r"segloc bench": LABORATORY,
-    r"segloc evaluate kitti-paper": "needs KITTI; at its smallest in lab/tests",
     r"segloc localize .*--gnss": "needs a bag with fixes; in tests/test_gnss.py",
     r"segloc map (update|merge) (tiles|.* tiles)": "of sessions of the reader's; in tests/tiles",
     r"segloc .*--report": LABORATORY,
