@@ -253,15 +253,14 @@ independently and without an initial guess. An answer is correct within 3 m and 
 truth; any other answer is false. A query is within map coverage if the map's trajectory passes
 within 3 m: the others come from unmapped streets, and should be rejected.
 
-All methods use the same segments and the same thresholds, those of the package: fitted on
-simulated worlds and on real scans in wrong maps; a few were set by hand with KITTI 00 in view.
-Each query is localized twice, with our pose estimator (consensus) and with the published one,
-and, if available, in the map of another place by the same kind of sensor: there every answer is
-false."""
+All methods use the same segments and the same posterior, that of the package: fitted to simulated
+worlds, with features that were chosen with scans of a lab and of KITTI 00 in view. Each query is
+localized twice, with our pose estimator (consensus) and with the published one, and, if
+available, in the map of another place by the same kind of sensor: there every answer is false."""
 ALONE = """
 
-Here segments are the only proposer. By default segloc also searches by stems and occupancy, which
-find nearly everything that a method's segments miss, and so hide its merits."""
+Here segments are the only proposer. By default segloc also searches by occupancy, which finds much
+of what a method's segments miss, and so hides its merits."""
 _CLOUD_RADIUS_M = 60.0
 PIECE, PIECES = 1, 32
 """Minimum queries per piece of a scenario, and maximum number of pieces."""

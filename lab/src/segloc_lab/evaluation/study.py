@@ -61,7 +61,9 @@ class Table:
 
     def part(self, level: int) -> report.Table:
         """Return the table as a part of a report, with a heading of this level."""
-        title = f"{self.title} (published)" if self.source == "paper" else self.title
+        title = self.title
+        if self.source == "paper" and not title.startswith("Published"):
+            title += " (published)"
         return report.Table(self.columns, self.rows, self.note, title, level)
 
 
