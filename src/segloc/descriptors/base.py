@@ -101,6 +101,10 @@ PLUGINS = "segloc.descriptors"
 _entries: dict[str, _Entry] = {}
 
 
+AS_PUBLISHED: Mapping[str, Any] = {"growth": 0.0, "escalation": 1}
+"""Matching of the published methods: as many neighbours in any map and for any query."""
+
+
 def register(name: str, preset: Mapping[str, Any] | None = None) -> Callable[[Factory], Factory]:
     """Register a factory ``(threads) -> Descriptor`` under ``name``.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .. import _native
 from ..types import Descriptors, Segments
-from .base import register
+from .base import AS_PUBLISHED, register
 from .random_forest import ForestDescriptor, Layout
 
 BINS = 32
@@ -15,7 +15,7 @@ SHAPE_WEIGHT = 2.0
 """Planarity and cylindricality lie in [0, 1]; the other numbers are metres."""
 
 
-@register("nsm", preset={"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}})
+@register("nsm", preset={"matching": {"neighbours": 200, **AS_PUBLISHED}})
 class GestaltDescriptor(ForestDescriptor):
     """Heights of a segment's points in 4 rings of 8 sectors around its key pose (66 numbers).
 

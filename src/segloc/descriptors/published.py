@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from .base import register
+from .base import AS_PUBLISHED, register
 from .pointset import Judge, PointSetDescriptor
 from .weightfile import shipped_weights
 
@@ -25,6 +25,6 @@ def _create(
 
 for _network in ("dsm", "esm"):
     for _suffix in _JUDGES:
-        register(_network + _suffix, preset={"matching": {"growth": 0.0, "escalation": 1}})(
+        register(_network + _suffix, preset={"matching": AS_PUBLISHED})(
             partial(_create, _network, _suffix)
         )

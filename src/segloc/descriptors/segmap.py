@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import _native
 from ..errors import WeightsError
 from ..types import Descriptors, Float32, Int64, Segments
-from .base import Descriptor, register
+from .base import AS_PUBLISHED, Descriptor, register
 from .weightfile import faults_of_weights, read_weights, shipped_weights
 
 GRID = (32, 32, 16)
@@ -123,7 +123,7 @@ class SegMapDescriptor(Descriptor):
         )
 
 
-@register("segmap", preset={"matching": {"growth": 0.0, "escalation": 1}})
+@register("segmap", preset={"matching": AS_PUBLISHED})
 def segmap(threads: int = 0, weights: Path | None = None) -> SegMapDescriptor:
     """Create the descriptor with the shipped weights, or others."""
     return SegMapDescriptor(weights or shipped_weights("segmap.safetensors"), threads)

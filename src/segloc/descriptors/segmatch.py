@@ -6,7 +6,7 @@ import numpy as np
 
 from .. import _native
 from ..types import Descriptors, Float32, Float64, Segments
-from .base import Descriptor, register
+from .base import AS_PUBLISHED, Descriptor, register
 from .random_forest import ForestDescriptor, Layout
 
 # Divisor of each feature: its spread over segments of simulated towns.
@@ -22,7 +22,7 @@ ESF_WEIGHT = 30.0
 ESF_BINS = 64
 _MIN_RATIO = 1e-6
 
-_NEIGHBOURS = {"matching": {"neighbours": 200, "growth": 0.0, "escalation": 1}}
+_NEIGHBOURS = {"matching": {"neighbours": 200, **AS_PUBLISHED}}
 
 
 def eigen_features(segments: Segments, threads: int = 0) -> Float64:

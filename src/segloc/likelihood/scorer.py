@@ -29,7 +29,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
 _FIRST = 2
-"""Candidates of each proposer that are aligned, by its own order."""
+"""Candidates of each proposer that are aligned, by its own order: in offices, places that overlap
+more may leave out the right one, which a thorough search finds."""
 _FEW_RIVALS = 3
 """Places that overlap most, with which a pose is compared first."""
 
@@ -192,12 +193,12 @@ class Scorer:
         return [place.fit for place in self.places if place.fit is not None]
 
     def add(self, candidates: Sequence[Candidate], known: Sequence[Pose] = ()) -> None:
-        """Add all candidates found so far.
+        """Replace the candidates, and consider their places.
 
         Parameters
         ----------
         candidates : sequence of Candidate
-            T_map_local, those of each proposer best first.
+            T_map_local, those of earlier calls included, those of each proposer best first.
         known : sequence of (4, 4) float64
             Poses T_map_local that are measured to the end, whatever they promise; where they are
             if what fits is another place.

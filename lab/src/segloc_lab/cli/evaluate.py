@@ -144,8 +144,7 @@ def kitti_paper(
         else _measured(kitti, folder, split_names(methods), workers, verify, draws)
     )
     _save(found, out)
-    if report is not None:
-        _publish(report, [found])
+    _publish(report, [found])
 
 
 def _measured(
@@ -315,8 +314,7 @@ def _run(study: str, workspace: Workspace, report: Path | None) -> None:
     else:
         found = [studies.run(study, workspace)]
         show(found[0], workspace.out)
-    if report is not None:
-        _publish(report, found)
+    _publish(report, found)
 
 
 def _run_all(workspace: Workspace) -> Iterator[Study]:
@@ -339,10 +337,12 @@ def _run_all(workspace: Workspace) -> Iterator[Study]:
         yield study
 
 
-def _publish(folder: Path, found: list[Study]) -> None:
-    """Write a report of the studies, with published figures beside and drawn curves."""
+def _publish(folder: Path | None, found: list[Study]) -> None:
+    """Write a report of the studies, if asked for: published figures beside, curves drawn."""
     from ..report import write
 
+    if folder is None:
+        return
     alone = len(found) == 1
     title = found[0].title if alone else "The studies of the paper"
     parts = [part for study in found for part in study.parts(alone=alone)]

@@ -61,9 +61,7 @@ class Table:
 
     def part(self, level: int) -> report.Table:
         """Return the table as a part of a report, with a heading of this level."""
-        title = self.title
-        if self.source == "paper" and not title.startswith("Published"):
-            title += " (published)"
+        title = f"{self.title} (published)" if self.source == "paper" else self.title
         return report.Table(self.columns, self.rows, self.note, title, level)
 
 

@@ -106,4 +106,4 @@ def _published() -> Table:
     ]
     note = "Table I. Other recordings, labels and trainings: compare ranks and losses, not values."
     columns = ("test", "trained on", *METHODS)
-    return Table("generalization-paper", "Published areas", columns, tuple(rows), note, "paper")
+    return Table("generalization-paper", "Area under the ROC", columns, tuple(rows), note, "paper")

@@ -120,4 +120,4 @@ def _published() -> Table:
     ]
     columns = ("method", "KITTI", "Burgess Field", "RobotCar")
     note = "From Table I, training and test set alike. Other recordings: compare ranks, not values."
-    return Table("roc-paper", "Published areas", columns, tuple(rows), note, "paper")
+    return Table("roc-paper", "Area under the curve", columns, tuple(rows), note, "paper")
