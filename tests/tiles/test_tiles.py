@@ -15,7 +15,7 @@ import pytest
 from samples.maps import repeated, town
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, geometry
+from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_map, geometry
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
@@ -465,18 +465,33 @@ def test_ambiguity_spans_tiles(plaza: Plaza, plaza_map: SegmentMap, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_what_stands_nowhere_is_refused_by_its_segments(
-    plaza_map: SegmentMap, tmp_path: Path
-) -> None:
-    """Of all tiles only few are fetched; but these must be there."""
+def test_of_many_tiles_few_are_fetched(plaza_map: SegmentMap, tmp_path: Path) -> None:
+    """But these must be there."""
     store = pytest.importorskip("fsspec").filesystem("memory")
     url, elsewhere = "memory://segloc-nowhere", Plaza(seed=4242).scan(TRUE, seed=77)
     index = cut_tiles(repeated(plaza_map, *AWAY), url, size_m=100.0)
     answer = TiledLocalizer(TiledMap(url, cache=tmp_path)).localize(elsewhere)
-    assert answer.reason is Reason.NO_CONSISTENT_MATCHES and answer.counts["matches"] > 0
+    assert not answer.localized and answer.counts["matches"] > 0
     fetched = {path.name for path in tmp_path.iterdir()} & {tile.file for tile in index.tiles}
     assert 0 < len(fetched) <= 4 < len(index.tiles)
     for name in fetched:
         store.rm_file(f"/segloc-nowhere/{name}")
     with pytest.raises(MapFormatError, match="tile_"):
         TiledLocalizer(TiledMap(url, cache=tmp_path / "another")).localize(elsewhere)
+
+
+@pytest.mark.slow
+def test_a_scan_of_few_segments_is_found_in_many_tiles(
+    plaza: Plaza, plaza_map: SegmentMap, tmp_path: Path
+) -> None:
+    """Its segments single out no pose, but a tile whose cloud does."""
+    whole = plaza_map
+    for seed, shift in enumerate(AWAY, start=1):
+        other = build_map(PlazaSequence(Plaza(seed)), GEO)
+        whole = whole.merge(repeated(other, shift).crop(shift[:2], 100.0))
+    assert len(cut_tiles(whole, tmp_path, size_m=100.0).tiles) > 10
+    points = plaza.scan(TRUE, seed=77).points
+    close = points[np.linalg.norm(points[:, :2], axis=1) < 20.0]
+    found = TiledLocalizer(TiledMap(tmp_path), GEO).localize(close)
+    assert found.localized and found.counts["segments"] < 10
+    assert np.allclose(found.T_map_sensor, TRUE, atol=0.3)

@@ -9,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 
 from ..config import Config
-from ..descriptors import Pruner
 from ..frontend.segmentation import Segmentation
 from ..likelihood import Likelihood, shipped_model
 from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud
@@ -18,7 +17,6 @@ from ..localization import NextView
 from ..localizer import cloud_of
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..proposals.matching import Matcher
 from ..proposals.occupancy import OccupancyProposer, view_of
 from ..proposals.proposer import Query
 from ..types import Bools, Candidate, Float64, Pose
@@ -42,13 +40,11 @@ class Pieces:
     tiles : TiledMap
         Its memory is shared by all pieces.
     config : Config
-    pruner : Pruner, optional
-        Of the descriptor.
     """
 
-    def __init__(self, tiles: TiledMap, config: Config, pruner: Pruner | None) -> None:
+    def __init__(self, tiles: TiledMap, config: Config) -> None:
         self.index, self.config = tiles.index, config
-        self._tiles, self._pruner, self._settings = tiles, pruner, config.to_yaml()
+        self._tiles, self._settings = tiles, config.to_yaml()
 
     def cloud(self, tile: Tile) -> MapCloud:
         """Return the cloud of a tile, for comparison.
@@ -80,15 +76,6 @@ class Pieces:
             return proposer
 
         return self._recent(tile, make, lambda _, proposer: proposer.nbytes)
-
-    def matcher(self, tile: Tile) -> Matcher:
-        """Return the matcher of a tile."""
-
-        def make(part: SegmentMap) -> Matcher:
-            config = self.config
-            return Matcher(part, config.matching, pruner=self._pruner, threads=config.threads)
-
-        return self._recent(tile, make, lambda part, _: SEGMENT_BYTES * len(part))
 
     def _recent(
         self,
