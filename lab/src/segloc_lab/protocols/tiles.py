@@ -3,7 +3,7 @@ r"""KITTI 00 in tiles: what is found with and without a prior, beside the map in
 Queries are those of ``protocols.real``; a prior is the true position, moved at random within half
 of its radius, or one at another place of the map.
 
-    python -m segloc_lab.protocols.tiles DATA OUT --size 250
+    python -m segloc_lab.protocols.tiles DATA OUT
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
 from segloc.proposals import Query
 from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
+from segloc.tiles.index import TileIndex
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.types import Float64, Pose
 
@@ -82,12 +83,23 @@ def measured(queries: list[tuple[Query, Pose]], locate: Way) -> Iterator[Cell]:
     yield from (round(float(mean(spent)), 1) for mean in (np.median, np.mean))
 
 
+def cut_of(index: TileIndex, size_m: float) -> str:
+    """Describe how a map was cut."""
+    of_tiles = sum(tile.bytes for tile in index.tiles) / 1e6
+    return (
+        f"{len(index.tiles)} tiles of {size_m:g} m with their margins {of_tiles:.1f} MB, "
+        f"their thin map {index.coarse.bytes / 1e6:.1f} MB"
+    )
+
+
 def main() -> None:
     options = reporting(__doc__)
     options.add_argument("data", type=Path)
     options.add_argument("out", type=Path)
     options.add_argument("--method", default="profile")
-    options.add_argument("--size", type=float, default=250.0, help="edge of a tile, metres")
+    options.add_argument(
+        "--sizes", type=float, nargs="+", default=[250.0, 100.0], help="edges of tiles, metres"
+    )
     options.add_argument("--step", type=int, default=1, help="use every STEP-th query")
     args = options.parse_args()
     config = Config.preset(args.method).model_copy(update={"threads": 1})
@@ -96,11 +108,11 @@ def main() -> None:
     if not file.exists():
         build_map(kitti00.mapped(args.data, "sparse"), config).save(file)
     whole = SegmentMap.load(file)
-    index = cut_tiles(whole, args.out / "tiles", size_m=args.size)
-    places = {
-        "in one piece": Localizer(whole, config),
-        "in tiles": TiledLocalizer(TiledMap(args.out / "tiles"), config),
-    }
+    places, cuts = {"in one piece": Localizer(whole, config)}, []
+    for size in args.sizes:
+        folder = args.out / f"tiles-{size:g}"
+        cuts.append(cut_of(cut_tiles(whole, folder, size_m=size), size))
+        places[f"in tiles of {size:g} m"] = TiledLocalizer(TiledMap(folder), config)
     rows: list[tuple[Cell, ...]] = []
     for name in SETS:
         queries = list(
@@ -110,12 +122,10 @@ def main() -> None:
         for place, localizer in places.items():
             for prior, locate in ways(localizer, whole.trajectory, rng).items():
                 rows.append((name, place + prior, *measured(queries, locate)))
-    sizes = [sum(tile.bytes for tile in index.tiles), file.stat().st_size, index.coarse.bytes]
-    of_tiles, of_one, of_thin = (each / 1e6 for each in sizes)
     note = (
-        f"`{args.method}`; {len(index.tiles)} tiles of {of_tiles:.1f} MB with their margins, "
-        f"{of_one:.1f} MB in one piece, {of_thin:.1f} MB the thin map. Milliseconds of processor "
-        "time of one thread, on a machine with other work; in brackets 95 % by Wilson."
+        f"`{args.method}`; {file.stat().st_size / 1e6:.1f} MB in one piece; {'; '.join(cuts)}. "
+        "Milliseconds of processor time of one thread, on a machine with other work; in brackets "
+        "95 % by Wilson."
     )
     columns = ("queries", "way", "found", "false", "ms, median", "mean")
     publish(args.report, "KITTI 00 in tiles", Table(columns, rows, note))
