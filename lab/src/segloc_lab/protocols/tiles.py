@@ -17,7 +17,6 @@ import numpy as np
 from segloc import Config, Localization, Localizer, Prior, SegmentMap, build_map
 from segloc.proposals import Query
 from segloc.tiles import TiledLocalizer, TiledMap, cut_tiles
-from segloc.tiles.index import TileIndex
 from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
 from segloc.types import Float64, Pose
 
@@ -83,8 +82,9 @@ def measured(queries: list[tuple[Query, Pose]], locate: Way) -> Iterator[Cell]:
     yield from (round(float(mean(spent)), 1) for mean in (np.median, np.mean))
 
 
-def cut_of(index: TileIndex, size_m: float) -> str:
+def cut_of(tiles: TiledMap, size_m: float) -> str:
     """Describe how a map was cut."""
+    index = tiles.index
     of_tiles = sum(tile.bytes for tile in index.tiles) / 1e6
     return (
         f"{len(index.tiles)} tiles of {size_m:g} m with their margins {of_tiles:.1f} MB, "
@@ -111,8 +111,10 @@ def main() -> None:
     places, cuts = {"in one piece": Localizer(whole, config)}, []
     for size in args.sizes:
         folder = args.out / f"tiles-{size:g}"
-        cuts.append(cut_of(cut_tiles(whole, folder, size_m=size), size))
-        places[f"in tiles of {size:g} m"] = TiledLocalizer(TiledMap(folder), config)
+        cut_tiles(whole, folder, size_m=size)
+        tiles = TiledMap(folder)
+        cuts.append(cut_of(tiles, size))
+        places[f"in tiles of {size:g} m"] = TiledLocalizer(tiles, config)
     rows: list[tuple[Cell, ...]] = []
     for name in SETS:
         queries = list(
