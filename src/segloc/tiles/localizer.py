@@ -171,7 +171,7 @@ class TiledLocalizer(Localizer):
         return tuple(dict.fromkeys(tile for tile in owners if tile is not None))
 
     def _voted(self, found: list[Candidate]) -> tuple[Tile, ...]:
-        """Return the tiles of the poses with most votes in the thin map, which rule out others."""
+        """Return the tiles with most votes in the thin map, less those that the best rules out."""
         if not found:
             return ()
         index = self.tiles.index
