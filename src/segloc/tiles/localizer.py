@@ -23,13 +23,15 @@ from ..proposals.proposer import Estimator, Query
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
-from .pieces import MAX_ALL, SEGMENT_BYTES, Pieces, TiledOccupancy, tiled_likelihood
+from .pieces import MAX_ALL, Pieces, TiledOccupancy, tiled_likelihood
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
 MAX_VOTED = 4
 """Most tiles selected by votes: of 480 queries in 32 tiles, three lose ten that are found by four,
 and eight find one more."""
+_SEGMENT_BYTES = 100
+"""Memory of an index by segment."""
 
 
 class TiledLocalizer(Localizer):
@@ -208,7 +210,7 @@ class TiledLocalizer(Localizer):
         return self.tiles.recent.get(key, build, _bytes)
 
     def _nowhere(self, matches: Matches, found: list[Candidate], near: Prior | None) -> Search:
-        """Return the result if no tile has enough votes."""
+        """Return the result if no tile has votes."""
         reason, most = Reason.NO_CONSISTENT_MATCHES, max((c.inliers for c in found), default=0)
         message = f"{reason} (of the segments {most} agree on a place, as by chance)"
         return Search(
@@ -223,7 +225,7 @@ _NONE = Matches(
 
 def _bytes(localizer: Localizer) -> int:
     """Estimate a localizer's memory: its segments and their index."""
-    return localizer.prior_map.memory_bytes + SEGMENT_BYTES * len(localizer.prior_map)
+    return localizer.prior_map.memory_bytes + _SEGMENT_BYTES * len(localizer.prior_map)
 
 
 def open_map(where: str) -> SegmentMap | TiledMap:

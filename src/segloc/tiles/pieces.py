@@ -26,8 +26,8 @@ from .tiled_map import TiledMap
 MAX_ALL = 10
 """Maximum number of tiles that are all searched. Set by hand."""
 
-_POINT_BYTES, SEGMENT_BYTES = 50, 100
-"""Memory of a cloud's structures by point, and of an index by segment."""
+_POINT_BYTES = 50
+"""Memory of a cloud's structures by point."""
 
 Piece = TypeVar("Piece")
 
