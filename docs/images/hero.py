@@ -123,7 +123,9 @@ def _words(axes: Any, found: Trace) -> None:
     left = -1.21 * RADIUS_M
     style = {"color": DARK, "fontsize": 12.5, "va": "center"}
     axes.text(left, 1.1 * LIFTED_M, "one scan of today,\ncut into segments", **style)
-    axes.text(left, 0.52 * LIFTED_M, f"{result.inliers} matches agree", **{**style, "color": GREEN})
+    axes.text(
+        left, 0.52 * LIFTED_M, f"{found.inliers.sum()} matches agree", **{**style, "color": GREEN}
+    )
     axes.text(left, -0.42 * LIFTED_M, "the map of\nanother day", **style)
     label = f"x {x:.1f} m, y {y:.1f} m, yaw {yaw:.0f}°\nconfidence {result.confidence:.2f}"
     axes.text(1.21 * RADIUS_M, -0.46 * RADIUS_M, label, ha="right", **{**style, "weight": "bold"})

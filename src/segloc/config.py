@@ -16,6 +16,7 @@ from .likelihood import VerificationConfig, shipped_model
 from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, without_mount
 from .map.info import plan_tolerance_m
 from .map.segment_map import SegmentMap
+from .proposals.first_sight import FirstSightConfig
 from .proposals.matching import MatchingConfig
 from .proposals.occupancy import OccupancyConfig
 from .proposals.pose import PoseConfig
@@ -39,6 +40,7 @@ FOR_USERS = (
     "local_cloud.body",
     "mapping.views",
     "mapping.level",
+    "first_sight.enabled",
     "matching.neighbours",
     "matching.escalation",
     "pose.estimator",
@@ -56,6 +58,7 @@ _UNITS = {"_m": "metres", "_deg": "degrees", "_ms": "milliseconds", "_s": "secon
 class Config(BuildConfig):
     """All settings. Frozen: derive a changed one by ``model_copy(update=...)``."""
 
+    first_sight: FirstSightConfig = FirstSightConfig()
     matching: MatchingConfig = MatchingConfig()
     pose: PoseConfig = PoseConfig()
     occupancy: OccupancyConfig = OccupancyConfig()

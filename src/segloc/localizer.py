@@ -14,19 +14,20 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
-from .likelihood.observation import MapCloud
+from .likelihood.observation import MapCloud, QueryCloud
 from .localization import Localization
 from .map.info import tolerance_m
 from .map.segment_map import SegmentMap
 from .pipeline import Agreed, Search, answer
 from .prior import Near, Prior, allowed, within
+from .proposals.first_sight import FirstSight
 from .proposals.matching import Matcher
 from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query
 from .proposals.proposer import create as create_proposer
 from .system.stage_times import Clock, StageTimes
-from .types import Candidate, Float64, LocalCloud, Pose
+from .types import Candidate, Descriptors, Float64, LocalCloud, Pose, Segments
 
 _DEVIATIONS = 2.0
 """Tolerances of a map by which a point on a wall may be farther off. Chosen for plans, and judged
@@ -110,6 +111,7 @@ class Localizer:
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
+        self.first_sight = first_sight_of(prior_map, config) if proposers is None else None
         self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
         self._again = partial(
@@ -164,11 +166,14 @@ class Localizer:
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
         with times("segmentation"):
             scene = self.segmenter.segment(cloud)
+        return Query(cloud, scene, partial(self._descriptors, scene.segments, times))
+
+    def _descriptors(self, segments: Segments, times: StageTimes) -> Descriptors:
+        """Describe segments, when they are matched."""
         with times("preprocessing"):
-            prepared = self.descriptor.prepare(scene.segments)
+            prepared = self.descriptor.prepare(segments)
         with times("descriptor"):
-            descriptors = self.descriptor.encode(prepared)
-        return Query(cloud, scene, descriptors)
+            return self.descriptor.encode(prepared)
 
     def locate(
         self,
@@ -232,8 +237,12 @@ class Localizer:
         """
         times = times or StageTimes(self.clock)
         is_near, min_confidence = allowed(near), self.config.verification.min_confidence
-        agreed = self._agreed(query, times, near)
         query_cloud = self.likelihood.query(query.scene)
+        if not (known or thorough):
+            seen = self._at_first_sight(query, query_cloud, times, near)
+            if seen is not None:
+                return seen
+        agreed = self._agreed(query, times, near)
         scorer = self.likelihood.scorer(query_cloud, agreed.inliers, is_near)
         known_near = [T for T in known if is_near(T)]
         found: Search | None = None
@@ -263,16 +272,45 @@ class Localizer:
             return Posterior()
         return self.likelihood.compared(self.likelihood.query(scene), known)
 
+    def _at_first_sight(
+        self, query: Query, query_cloud: QueryCloud, times: StageTimes, near: Prior | None
+    ) -> Search | None:
+        """Return the result if the view all around and the clouds leave no doubt; else None."""
+        if self.first_sight is None:
+            return None
+        with times("pose"):
+            proposed = self.first_sight.propose(query, near)
+        if not proposed:
+            return None
+        candidates = [replace(c, proposer=self.first_sight.name) for c in proposed]
+        with times("verification"):
+            scorer = self.likelihood.scorer(query_cloud, allowed=allowed(near))
+            scorer.add(candidates)
+            posterior = scorer.measure_at_once()
+        if posterior is None:
+            return None
+        places = tuple(replace(place, inliers=0) for place in posterior.places)
+        return Search.of(
+            self.prior_map,
+            Agreed.none(),
+            candidates,
+            replace(posterior, places=places),
+            scorer.places,
+            self.config.verification.min_confidence,
+            near,
+        )
+
     def _agreed(self, query: Query, times: StageTimes, near: Prior | None) -> Agreed:
         """Match segments, and find the poses on which they agree."""
+        described = query.descriptors
         where, matcher = (query.scene.segments.centroids, self.prior_map.centroids), self.matcher
         if near is not None and near.has_position:  # of the segments in view from there
             reach_m = self.config.local_cloud.radius_m
             matcher = matcher.among(near.rows(self.prior_map.centroids, reach_m))
         with times("matching"):
-            nearest = matcher.match(query.descriptors)
+            nearest = matcher.match(described)
         with times("pruning"):
-            matches = matcher.prune(query.descriptors, nearest)
+            matches = matcher.prune(described, nearest)
         with times("pose"):
             candidates = within(near, self.estimator.estimate(*where, matches))
             inliers = self.estimator.agreement(*where, matches)
@@ -297,6 +335,13 @@ class Localizer:
                 fresh = (replace(c, proposer=proposer.name, inliers=n) for c, n in counted)
                 candidates = [*candidates, *fresh]
         yield candidates, True
+
+
+def first_sight_of(prior_map: SegmentMap, config: Config) -> FirstSight | None:
+    """Return the proposer that comes before segments; None if it is not enabled."""
+    if not (config.first_sight.enabled and config.occupancy.enabled):
+        return None
+    return FirstSight(prior_map, config.first_sight, config.occupancy, config.segmentation)
 
 
 def proposers_of(

@@ -54,6 +54,12 @@ class Agreed:
     candidates: list[Candidate]
     inliers: Callable[[Pose], int]
 
+    @classmethod
+    def none(cls) -> Agreed:
+        """Return what agrees where segments were not matched."""
+        rows, numbers = np.empty(0, np.int64), np.empty(0, np.float32)
+        return cls(0, Matches(rows, rows, numbers, numbers), [], lambda _: 0)
+
 
 @dataclass(frozen=True)
 class Search:

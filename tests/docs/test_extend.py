@@ -74,6 +74,11 @@ def test_a_descriptor_of_a_package_of_its_own(
         localizer = Localizer(build_map(PlazaSequence(plaza), config), config)
         assert localizer.descriptor.name == name and create(name).dim == 3
         result = localizer.localize(plaza.scan(geometry.yaw_transform(1.0, (2.0, 1.0, 1.8))))
+        assert result.proposer == "first sight" and result.counts["matches"] == 0
+        clouds = config.occupancy.model_copy(update={"enabled": False})
+        by_segments = config.model_copy(update={"occupancy": clouds})
+        localizer = Localizer(localizer.prior_map, by_segments)
+        result = localizer.localize(plaza.scan(geometry.yaw_transform(1.0, (2.0, 1.0, 1.8))))
         assert result.counts["segments"] > 0 and result.counts["matches"] > 0
     finally:
         sys.modules.pop("segloc_cubes", None)

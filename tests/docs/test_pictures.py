@@ -28,7 +28,7 @@ def test_the_hero_is_what_its_command_draws(tmp_path: Path) -> None:
     drawn = image.open(io.BytesIO(hero.picture(prior_map, found))).convert("RGB")
     with image.open(IMAGES / "hero.png") as kept:
         alike(kept, drawn)
-    assert found.result.inliers > 20 and found.result.confidence > 0.99
+    assert found.inliers.sum() > 20 and found.result.confidence > 0.99
 
 
 @pytest.mark.slow

@@ -240,6 +240,13 @@ class Scorer:
         self._decide(thorough)
         return self.posterior()
 
+    def measure_at_once(self) -> Posterior | None:
+        """Measure the most promising place beside few; None if it is not as sure as can be."""
+        first = self._begin()
+        if first is None or first.promise < self._threshold or not self._try_beside(_FEW_RIVALS):
+            return None
+        return self.posterior()
+
     def _promising(self) -> list[Trial]:
         """Return the places to align: known ones and the first of each proposer, then others."""
         if not self.places:

@@ -19,6 +19,7 @@ from ..frontend.segmentation import Segmentation
 from ..localizer import Localizer
 from ..map.build import empty_map
 from ..map.segment_map import SegmentMap
+from ..proposals.first_sight import FirstSightConfig
 from ..system.files import folder_in, write_bytes
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Recording, Segments
@@ -196,7 +197,10 @@ def _loops(workspace: Workspace, task: tuple[int, list[int], Float64, list[int]]
     prior_map = workspace.store.map(f"part_{part}")
     if not len(prior_map):
         return []
-    localizer, register = Localizer(prior_map, workspace.config), workspace.registration()
+    # Of the loops of a pair the one is kept on which most segments agree.
+    by_segments = FirstSightConfig(enabled=False)
+    config = workspace.config.model_copy(update={"first_sight": by_segments})
+    localizer, register = Localizer(prior_map, config), workspace.registration()
     found = [
         loop_in_part(localizer, query_of(workspace.store[k]), k, nodes, poses, register)
         for k in sources

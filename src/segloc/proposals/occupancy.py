@@ -383,8 +383,21 @@ class View:
 
 def view_of(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> View:
     """Compute the occupancy of a segmented local cloud."""
-    near = np.hypot(scene.surface[:, 0], scene.surface[:, 1]) < config.range_m
-    surface = _native.voxel_grid(scene.surface[near], config.cell)
+    below, columns, slices = occupied_of(scene, config, segmentation)
+    free, clearance = free_cells(scene.ground, cells_of(columns, config.cell), config)
+    return View(columns, slices, _centres(free, config), clearance, below)
+
+
+def occupied_of(
+    scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig
+) -> tuple[float, Float32, Bytes]:
+    """Return the height of the ground below a sensor, the occupied cells around it, their slices.
+
+    As ``below``, ``columns`` and ``slices`` of a :class:`View`.
+    """
+    every = scene.surface
+    near = np.hypot(every[:, 0], every[:, 1]) < config.range_m
+    surface = _native.voxel_grid(every[near], config.cell)
     distance = np.hypot(surface[:, 0], surface[:, 1])
     around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
     floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
@@ -398,8 +411,7 @@ def view_of(scene: Segmentation, config: OccupancyConfig, segmentation: Segmenta
     _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
     cells, slices = cells[first], np.zeros(len(first), np.uint8)
     np.bitwise_or.at(slices, which, slices_of(heights[above]))
-    free, clearance = free_cells(scene.ground, cells, config)
-    return View(_centres(cells, config), slices, _centres(free, config), clearance, below)
+    return below, _centres(cells, config), slices
 
 
 def free_cells(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 from ..errors import ConfigError
@@ -15,13 +15,29 @@ from ..system.plugins import plugins
 from ..types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
 
 
-@dataclass(frozen=True)
 class Query:
-    """A local cloud, its segments and their descriptors."""
+    """A local cloud, its segments and their descriptors.
 
-    cloud: LocalCloud
-    scene: Segmentation
-    descriptors: Descriptors
+    Parameters
+    ----------
+    cloud : LocalCloud
+    scene : Segmentation
+    descriptors : Descriptors or callable
+        Descriptors of the segments; or computes them when they are needed.
+    """
+
+    def __init__(
+        self,
+        cloud: LocalCloud,
+        scene: Segmentation,
+        descriptors: Descriptors | Callable[[], Descriptors],
+    ) -> None:
+        self.cloud, self.scene, self._described = cloud, scene, descriptors
+
+    @cached_property
+    def descriptors(self) -> Descriptors:
+        """Descriptors of the segments; computed once."""
+        return self._described() if callable(self._described) else self._described
 
 
 class Proposer(Protocol):

@@ -33,7 +33,7 @@ def test_one_scan_gives_one_line_with_its_pose(
     out, err = capsys.readouterr()
     found = re.fullmatch(
         r"localized at x (\S+), y (\S+), z (\S+) m, yaw (\S+) deg; confidence (0\.\d\d|1\.00) "
-        r"\(\d+ segments agree, \d+% of the cloud lies on the map\)\n",
+        r"\(\d+% of the cloud lies on the map; proposed by first sight\)\n",
         out,
     )
     assert found and err == ""

@@ -104,7 +104,10 @@ def test_debug_keeps_each_query_small_and_whole(site: Site, results: Path) -> No
             assert equal(one, other), field.name
     found = shown[0].stages
     assert found is not None and found.on_map.mean() > 0.8 and found.inliers.sum() > 5
-    assert any("segments agree" in words for _, rows in found.tables for *_, words in rows)
+    for each, words in zip(shown, ("decides without segments",) * 2 + ("agree",), strict=True):
+        assert each.stages is not None
+        tables = [text for _, rows in each.stages.tables for *_, text in rows]
+        assert any(words in text for text in tables)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...localization import Localization, pose_text
+from ...proposals.first_sight import FirstSight
 from ...system.text import number, quantity
 from ..inspect import html
 from .score import PROCESSOR, Evaluation
@@ -88,8 +89,9 @@ def answer_row(evaluation: Evaluation, i: int) -> tuple[str, str, str]:
 
 def sentence(result: Localization) -> str:
     """Describe the result of a query in one line."""
-    agree = quantity(result.inliers, "segments", "agree")
-    measured = f"{agree}, {result.overlap:.0%} of the cloud lies on the map"
+    measured = f"{result.overlap:.0%} of the cloud lies on the map"
+    if result.proposer != FirstSight.name:
+        measured = f"{quantity(result.inliers, 'segments', 'agree')}, {measured}"
     if result.proposer not in (None, "segments"):
         measured += f"; proposed by {result.proposer}"
     if result.localized:

@@ -98,6 +98,9 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     if others:
         over = tuple(np.subtract(best.features, others[0].features).tolist())
         beside = _beside(fit, _fit(found, others[0]))
+    if not found.proposed:
+        words["inliers_over_rival"] = f"not measured: {found.proposer} decides without segments"
+        beside["inliers_over_rival"] = ""
     return tuple(
         Part(
             name,

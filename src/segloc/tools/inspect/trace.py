@@ -15,6 +15,7 @@ from ...localizer import Localizer
 from ...map.segment_map import SegmentMap
 from ...pipeline import Search
 from ...prior import Prior
+from ...proposals.first_sight import FirstSight
 from ...proposals.proposer import Query
 from ...system.stage_times import StageTimes
 from ...system.text import quantity
@@ -108,6 +109,9 @@ def _pairs(
 ) -> tuple[Int64, Bools]:
     """Return one match per segment, and whether it fits the pose."""
     matches, config = found.matches, localizer.config.pose
+    if found.proposer == FirstSight.name:  # decided without them
+        nearest = localizer.matcher.match(query.descriptors)
+        matches = localizer.matcher.prune(query.descriptors, nearest)
     if not len(matches):
         return np.empty((0, 2), np.int64), np.empty(0, bool)
     fits = np.zeros(len(matches), dtype=bool)

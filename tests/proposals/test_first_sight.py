@@ -1,0 +1,93 @@
+"""First sight: views all around, compared with those from places of the mapping sensor."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from samples.plaza import Plaza
+from segloc_lab.padding import beside_its_mirror, mirrored, remade
+
+from segloc import Config, Localizer, Prior, Scan, SegmentMap, geometry
+from segloc.proposals.first_sight import FirstSight, FirstSightConfig
+from segloc.types import Candidate, Pose
+
+AT = (-8.0, 1.0, 1.7)
+
+
+def proposed(
+    localizer: Localizer, scan: Scan, prior_map: SegmentMap | None = None, near: Prior | None = None
+) -> list[Candidate]:
+    config = localizer.config
+    sections = config.first_sight, config.occupancy, config.segmentation
+    sight = FirstSight(localizer.prior_map if prior_map is None else prior_map, *sections)
+    return sight.propose(localizer.describe(scan), near)
+
+
+def off(T: Pose, truth: Pose) -> tuple[float, float]:
+    delta = geometry.inverse(truth) @ T
+    return float(np.hypot(*delta[:2, 3])), math.degrees(geometry.rotation_angle(delta))
+
+
+@pytest.mark.parametrize("yaw", [0.3, 2.5, -1.8])
+def test_a_view_is_turned_to_that_of_its_place(
+    plaza: Plaza, localizer: Localizer, yaw: float
+) -> None:
+    truth = geometry.yaw_transform(yaw, AT)
+    (one,), (again,) = (proposed(localizer, plaza.scan(truth, seed=k)) for k in (7, 7))
+    metres, degrees = off(one.T_map_local, truth)
+    assert metres < 2.0 and degrees < 8.0 and abs(one.T_map_local[2, 3] - AT[2]) < 0.5
+    assert one.fit is not None and one.fit > localizer.config.first_sight.fit
+    np.testing.assert_array_equal(one.T_map_local, again.T_map_local)
+
+
+def test_the_answer_is_that_of_the_segments(plaza: Plaza, localizer: Localizer) -> None:
+    scan = plaza.scan(geometry.yaw_transform(2.5, AT), seed=7)
+    seen = localizer.localize(scan)
+    by_segments = localizer.config.model_copy(
+        update={"first_sight": FirstSightConfig(enabled=False)}
+    )
+    matched = Localizer(localizer.prior_map, by_segments).localize(scan)
+    assert seen.T_map_sensor is not None and matched.T_map_sensor is not None
+    assert (seen.proposer, matched.proposer) == ("first sight", "segments")
+    assert max(off(seen.T_map_sensor, matched.T_map_sensor)) < 0.05
+    assert seen.confidence > 0.999 and matched.confidence > 0.999
+    assert seen.counts["matches"] == seen.inliers == 0 < matched.inliers
+
+
+def test_places_that_look_alike_are_left_to_the_segments(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    scan = plaza.scan(geometry.yaw_transform(0.3, AT), seed=7)
+    assert proposed(localizer, scan)
+    assert not proposed(localizer, scan, beside_its_mirror(localizer.prior_map))
+    assert not proposed(localizer, scan, mirrored(localizer.prior_map))
+    assert not proposed(localizer, Plaza(1).scan(geometry.yaw_transform(0.3, AT)))
+
+
+def test_a_view_that_is_not_all_around_is_left_to_the_segments(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    scan = plaza.scan(geometry.yaw_transform(0.3, AT), seed=7)
+    ahead = np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0])) < math.radians(120.0)
+    narrow = Scan(scan.points[ahead], T_odom_sensor=scan.T_odom_sensor)
+    assert not proposed(localizer, narrow)
+    assert localizer.localize(narrow).proposer == "segments"
+
+
+def test_a_prior_and_a_map_without_ground_or_path_are_respected(
+    plaza: Plaza, localizer: Localizer
+) -> None:
+    scan, prior_map = plaza.scan(geometry.yaw_transform(0.3, AT), seed=7), localizer.prior_map
+    assert proposed(localizer, scan, near=Prior(AT[:2], 10.0))
+    assert not proposed(localizer, scan, near=Prior((40.0, 0.0), 10.0))
+    bare = remade(prior_map)
+    bare.metadata["ground"] = "none"
+    assert not bare.has_ground and not proposed(localizer, scan, bare)
+    assert not proposed(localizer, scan, SegmentMap.empty("geo", "f", 7, (0.0, 0.0, 0.0)))
+    clouds = Config().occupancy.model_copy(update={"enabled": False})
+    assert (
+        Localizer(prior_map, localizer.config.model_copy(update={"occupancy": clouds})).first_sight
+        is None
+    )
