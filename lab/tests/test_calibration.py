@@ -31,7 +31,7 @@ from segloc_lab.calibration.worlds import (
     simulated,
     write_world,
 )
-from segloc_lab.protocols import degenerate, one_number, wrong_maps
+from segloc_lab.protocols import degenerate, first_sight, one_number, wrong_maps
 from segloc_lab.protocols.wrong_maps import parts
 from segloc_lab.report import entries
 from segloc_lab.simulation.bare_views import VIEWS
@@ -145,6 +145,11 @@ def test_answers_in_worlds_are_reported(
     assert f"| all | {len(both)} | {accepted} |" in report
     assert len(both) == len(answers)
     assert accepted == sum(a["localized"] for a in answers)  # one door
+    ways, report = run(first_sight, str(several), "--every", "3")
+    twice = [a for each in ways for a in each["found"]]
+    counts = [sum(a[way] == "found" for a in twice) for way in ("seen", "matched")]
+    assert f"| all | {len(twice)} | {counts[0]} | {counts[1]} |" in report
+    assert len(twice) == len(answers) and counts[0] == sum(a["outcome"] == "found" for a in answers)
     views, report = run(degenerate, *map(str, worlds.glob("*/own.segmap")), "--each", "1")
     count = sum(len(each["answers"]) for each in views)
     assert count == 2 * len(VIEWS) and f"| all | {count} | 0 |" in report

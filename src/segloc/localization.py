@@ -178,7 +178,7 @@ class _Answer:
     Attributes
     ----------
     inliers : int
-        Number of distinct segments that agree with the pose.
+        Number of distinct segments that agree with the pose; 0 at first sight.
     overlap : float
         Share of the query cloud that lies on the map at the pose, in [0, 1]; points above the map's
         height there are excluded.
@@ -186,8 +186,8 @@ class _Answer:
         Share of the compared map points that the query sees, in [0, 1]; the others are free-space
         violations. None if no map points are in view.
     proposer : str or None
-        Source of the pose: "segments" (their matches), "occupancy", or the name of another
-        proposer. None if no pose was proposed.
+        Source of the pose: "first sight", before segments are matched, "segments" (their matches),
+        "occupancy", or the name of another proposer. None if no pose was proposed.
     rmse : float or None
         Residual of the alignment [m]. None without an alignment.
     confidence : float

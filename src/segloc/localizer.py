@@ -50,7 +50,7 @@ class Localizer:
         Estimates poses from matches of segments; by default that of ``config.pose``.
     proposers : sequence of Proposer, optional
         Tried in order if segments are inconclusive; by default those of ``config.proposers``, then
-        occupancy.
+        occupancy, and first sight before segments are matched. If given, there is no first sight.
     likelihood : Likelihood, optional
         Compares clouds at poses; by default that of the map's own cloud.
     clock : callable
@@ -221,7 +221,9 @@ class Localizer:
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        If segments are inconclusive, the proposers are used, in order, until a place is accepted.
+        A pose at first sight is accepted at once if it is as sure as can be. Else segments are
+        matched; if they are inconclusive, the proposers are used, in order, until a place is
+        accepted.
 
         Parameters
         ----------
@@ -240,7 +242,7 @@ class Localizer:
         query_cloud = self.likelihood.query(query.scene)
         if not (known or thorough):
             seen = self._at_first_sight(query, query_cloud, times, near)
-            if seen is not None:
+            if seen is not None and seen.reason is None:
                 return seen
         agreed = self._agreed(query, times, near)
         scorer = self.likelihood.scorer(query_cloud, agreed.inliers, is_near)
@@ -275,7 +277,10 @@ class Localizer:
     def _at_first_sight(
         self, query: Query, query_cloud: QueryCloud, times: StageTimes, near: Prior | None
     ) -> Search | None:
-        """Return the result if the view all around and the clouds leave no doubt; else None."""
+        """Return the result if a place at first sight is as sure as can be; else None.
+
+        Segments are not matched: they count neither for nor against the pose.
+        """
         if self.first_sight is None:
             return None
         with times("pose"):

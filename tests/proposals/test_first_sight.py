@@ -10,6 +10,7 @@ from samples.plaza import Plaza
 from segloc_lab.padding import beside_its_mirror, mirrored, remade
 
 from segloc import Config, Localizer, Prior, Scan, SegmentMap, geometry
+from segloc.proposals import first_sight
 from segloc.proposals.first_sight import FirstSight, FirstSightConfig
 from segloc.types import Candidate, Pose
 
@@ -76,8 +77,8 @@ def test_a_view_that_is_not_all_around_is_left_to_the_segments(
     assert localizer.localize(narrow).proposer == "segments"
 
 
-def test_a_prior_and_a_map_without_ground_or_path_are_respected(
-    plaza: Plaza, localizer: Localizer
+def test_a_prior_and_maps_without_ground_or_path_are_respected(
+    plaza: Plaza, localizer: Localizer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scan, prior_map = plaza.scan(geometry.yaw_transform(0.3, AT), seed=7), localizer.prior_map
     assert proposed(localizer, scan, near=Prior(AT[:2], 10.0))
@@ -86,6 +87,8 @@ def test_a_prior_and_a_map_without_ground_or_path_are_respected(
     bare.metadata["ground"] = "none"
     assert not bare.has_ground and not proposed(localizer, scan, bare)
     assert not proposed(localizer, scan, SegmentMap.empty("geo", "f", 7, (0.0, 0.0, 0.0)))
+    monkeypatch.setattr(first_sight, "_MOST_PLACES", 3)  # of a very large map
+    assert not proposed(localizer, scan)
     clouds = Config().occupancy.model_copy(update={"enabled": False})
     assert (
         Localizer(prior_map, localizer.config.model_copy(update={"occupancy": clouds})).first_sight

@@ -41,8 +41,8 @@ _RING_M, _RINGS = 1.5, 20
 """Width of its rings, and their number."""
 _BAND = 2
 """Height slices of occupancy in one of its bands."""
-_SPACING_M = 2.0
-"""Spacing of places along the mapping sensor's path."""
+_SPACING_M, _MOST_PLACES = 2.0, 4000
+"""Spacing of places along the mapping sensor's path, and the most of a map, for memory and time."""
 _MOST_POINTS = 4000
 """Points by whose directions it is told whether a view is one all around."""
 _APART_M, _APART_DEG = 15.0, 45.0
@@ -93,7 +93,8 @@ class FirstSight:
 
     Notes
     -----
-    The first query computes the images of the map, in 0.1 to 0.5 s a kilometre; they take 5 MB.
+    The first query computes the images of the map: about 0.5 s and 5 MB a kilometre. Maps of more
+    than about 8 km, of several storeys, without ground or without a path have none.
     """
 
     def __init__(
@@ -143,7 +144,8 @@ class _Places:
         path = prior_map.trajectory[:, :3, 3] - self._origin
         self._ground: Ground | None = None
         self._at = path[:0]
-        if not len(path) or not prior_map.has_ground or is_storeyed(path):
+        _, first = np.unique(np.floor(path / _SPACING_M), axis=0, return_index=True)
+        if not 0 < len(first) <= _MOST_PLACES or not prior_map.has_ground or is_storeyed(path):
             return
         cloud = _native.voxel_grid(prior_map.voxel_cloud.points, occupancy.cell)
         self._ground, below = ground_of(cloud, path, segmentation)
@@ -152,7 +154,6 @@ class _Places:
         xy, slices = cloud[above, :2], slices_of(heights[above])
         if not len(xy):
             return
-        _, first = np.unique(np.floor(path / _SPACING_M), axis=0, return_index=True)
         self._at = path[np.sort(first)]
         images = [polar_image(*around) for around in _around(self._at[:, :2], xy, slices)]
         self._spectra = _spectra(np.stack(images))

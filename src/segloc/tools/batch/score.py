@@ -55,12 +55,12 @@ RECORD = {
     "[rad], then a translation [m], both in the sensor's frame; six digits",
     "attitude": "source of the query's roll and pitch: `given` (a pose or gravity), `estimated` "
     "(from the scan) or `assumed`",
-    "inliers": "distinct query segments that agree with the best pose",
+    "inliers": "distinct query segments that agree with the best pose; 0 at first sight",
     "overlap": "share of the query cloud that lies on the map there, 0 to 1",
     "seen": "share of the map in view that the query sees, 0 to 1; the rest are free-space "
     "violations",
-    "proposer": "proposer of the best pose: `segments`, `occupancy` or the name of another; null "
-    "without a pose",
+    "proposer": "proposer of the best pose: `first sight`, `segments`, `occupancy` or the name of "
+    "another; null without a pose",
     "rmse": "residual of the refined alignment [m]",
     "confidence": "calibrated probability that the pose is correct, 0 to 1",
     "places": "distinct places, the most probable first: `T_map_sensor`, `probability`, `inliers`, "

@@ -153,12 +153,18 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
         ("cloud", f"{counts['points']} points of {scans}; tilt {tilt:.1f} deg, {result.attitude}"),
         ("ground", f"{len(trace.structure)} voxels above the ground"),
         ("segments", f"{counts['segments']}{smallest}"),
-        ("matches", f"{counts['matches']} candidate matches with segments of the map"),
+        ("matches", _matches(result)),
         ("poses", _poses(trace)),
     ]
     if trace.T_map_local is not None:
         found.append(("runner-up", _runner_up(trace, trace.T_map_local @ trace.T_local_sensor)))
     return found
+
+
+def _matches(result: Localization) -> str:
+    if result.proposer == FirstSight.name:
+        return "not needed: no other place of the map looks like this view"
+    return f"{result.counts['matches']} candidate matches with segments of the map"
 
 
 def _runner_up(trace: Trace, T_map_sensor: Pose) -> str:

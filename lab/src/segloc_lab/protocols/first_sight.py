@@ -1,0 +1,131 @@
+"""What is localized at first sight, beside the same queries by segments.
+
+Each query of generated worlds is localized in its maps by a localizer that looks first, and by one
+that matches segments at once. False is beyond 2 m or 5 degrees, or in the map of another place.
+
+    python -m segloc_lab.protocols.first_sight WORLDS --every 3 --report reports/first-sight
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segloc import Config, Localizer, geometry
+from segloc.proposals.first_sight import FirstSight
+
+from ..calibration.rows import HOME, World, errors, is_right, worlds_of
+from ..report import Table, publish
+from ..runner import Runner
+
+COLUMNS = (
+    "kind",
+    "searches",
+    "found",
+    "by segments",
+    "at first sight",
+    "of them false",
+    "m apart, 95 %",
+    "ms",
+    "by segments, ms",
+    "ratio",
+    "refused, ratio",
+)
+
+
+def ways(config: Config) -> tuple[Config, Config]:
+    """Return a configuration, and the same without first sight."""
+    off = config.first_sight.model_copy(update={"enabled": False})
+    return config, config.model_copy(update={"first_sight": off})
+
+
+def compared_in(world: World, config: Config) -> dict[str, Any]:
+    """Localize every query of a world in its maps, both ways in turns."""
+    places = {
+        name: [Localizer(prior_map, way) for way in ways(config)]
+        for name, prior_map in world.maps.items()
+    }
+    found = []
+    for n, made in enumerate(world.queries()):
+        for name in world.searched(n, made):
+            truth = made.truth if name in HOME else None
+            row: dict[str, Any] = {"map": name, "made": made.kind}
+            poses = []
+            for way, localizer in zip(("seen", "matched"), places[name], strict=True):
+                start = time.process_time()
+                answer = localizer.localize(made.scans)
+                row[f"{way}_ms"] = 1e3 * (time.process_time() - start)
+                row[way] = outcome(answer.T_map_sensor, truth)
+                poses.append(answer.T_map_sensor)
+                if way == "seen":
+                    row["first"] = answer.localized and answer.proposer == FirstSight.name
+            one, other = poses
+            if row["first"] and one is not None and other is not None:
+                row["apart_m"] = float(np.linalg.norm((geometry.inverse(one) @ other)[:3, 3]))
+            found.append(row)
+    return {"world": world.name, "kind": world.kind, "found": found}
+
+
+def outcome(T_map_sensor: np.ndarray | None, truth: np.ndarray | None) -> str:
+    """Classify a pose as found, false or refused."""
+    if T_map_sensor is None:
+        return "refused"
+    return "found" if truth is not None and is_right(*errors(T_map_sensor, truth)) else "false"
+
+
+def table(worlds: list[dict[str, Any]]) -> Table:
+    """Count by kind of world what is found both ways, and compare times of equal outcomes."""
+    rows = []
+    for kind in (*dict.fromkeys(w["kind"] for w in worlds), "all"):
+        found = [a for w in worlds if kind in (w["kind"], "all") for a in w["found"]]
+        first = [a for a in found if a["first"]]
+        apart = [a["apart_m"] for a in first if "apart_m" in a]
+        ms = {
+            what: [
+                float(np.median([a[f"{way}_ms"] for a in found if same(a, what)] or [np.nan]))
+                for way in ("seen", "matched")
+            ]
+            for what in ("found", "refused")
+        }
+        rows.append(
+            (
+                kind,
+                len(found),
+                *(sum(a[way] == "found" for a in found) for way in ("seen", "matched")),
+                len(first),
+                sum(a["seen"] == "false" for a in first),
+                f"{np.percentile(apart, 95):.3f}" if apart else "-",
+                *(f"{v:.1f}" for v in ms["found"]),
+                *(f"{v[0] / v[1]:.2f}" for v in ms.values()),
+            )
+        )
+    note = (
+        "Searches: each query in each of its maps. Apart: poses at first sight and those by "
+        "segments. Milliseconds: median processor time where both ways find; ratios of these, and "
+        "of those where both refuse."
+    )
+    return Table(COLUMNS, rows, note)
+
+
+def same(answer: dict[str, Any], what: str) -> bool:
+    """Return whether an answer has an outcome both ways."""
+    return bool(answer["seen"] == answer["matched"] == what)
+
+
+def main() -> None:
+    runner = Runner(__doc__, "first-sight.jsonl", parallel=True)
+    runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
+    args = runner.parse()
+    work = partial(compared_in, config=Config(threads=1))
+    chosen = worlds_of(args.worlds)[:: args.every]
+    found = runner.run(work, chosen, ("world",), lambda world: [world.name])
+    publish(args.report, "At first sight", table(found))
+
+
+if __name__ == "__main__":
+    main()
