@@ -172,7 +172,8 @@ class _Places:
     def _correlation(self, image: Image) -> Float32:
         """Return the correlation with each place at all turns, (sectors, places)."""
         product = np.zeros((_SECTORS // 2 + 1, len(self)), np.complex64)
-        product[1 : 1 + _FREQUENCIES] = np.matmul(self._spectra, image.transpose(0, 2, 1))[..., 0]
+        # Not by BLAS, whose threads would wait for each other longer than they work.
+        product[1 : 1 + _FREQUENCIES] = np.einsum("fpc,fc->fp", self._spectra, image[:, 0])
         found: Float32 = np.fft.irfft(product, n=_SECTORS, axis=0).astype(np.float32)
         return found
 
