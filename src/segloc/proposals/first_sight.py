@@ -27,6 +27,7 @@ from .occupancy import (
     Ground,
     OccupancyConfig,
     cells_of,
+    evenly,
     ground_of,
     is_storeyed,
     keys_of,
@@ -43,6 +44,8 @@ _BAND = 2
 """Height slices of occupancy in one of its bands."""
 _SPACING_M, _MOST_PLACES = 2.0, 4000
 """Spacing of places along the mapping sensor's path, and the most of a map, for memory and time."""
+_TRIED = 16
+"""Places by which it is told whether a map has any that are unlike the others."""
 _MOST_POINTS = 4000
 """Points by whose directions it is told whether a view is one all around."""
 _APART_M, _APART_DEG = 15.0, 45.0
@@ -107,13 +110,14 @@ class FirstSight:
         self.config = config
         self._map, self._occupancy, self._segmentation = prior_map, occupancy, segmentation
         self._places: _Places | None = None
+        self._is_prepared = False
 
     name = "first sight"
 
     def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose a pose T_map_local with its correlation as ``fit``, or none."""
         places = self._prepared()
-        if not len(places) or not self._looks_around(query.scene.surface):
+        if places is None or not self._looks_around(query.scene.surface):
             return []
         below, centres, slices = occupied_of(query.scene, self._occupancy, self._segmentation)
         best, turn, fit = places.most_like(polar_image(centres, slices))
@@ -127,10 +131,14 @@ class FirstSight:
         some = points[:: 1 + len(points) // _MOST_POINTS]
         return len(np.unique(_sectors(some))) >= self.config.all_around * _SECTORS
 
-    def _prepared(self) -> _Places:
-        """Compute the images of all places, once."""
-        if self._places is None:  # concurrent callers compute them twice, harmlessly
-            self._places = _Places(self._map, self._occupancy, self._segmentation)
+    def _prepared(self) -> _Places | None:
+        """Compute the images of all places, once; None if the places of the map look alike."""
+        if not self._is_prepared:  # concurrent callers compute them twice, harmlessly
+            places = _Places(self._map, self._occupancy, self._segmentation)
+            some = evenly(len(places), _TRIED)
+            if any(places.likeness(int(k)) <= self.config.alike for k in some):
+                self._places = places
+            self._is_prepared = True
         return self._places
 
 

@@ -57,6 +57,8 @@ _DROP_RADIUS_M, _DROP_STEP_M, _DROP_BINS = (
 )  # of the histogram of heights above the floor
 _STOREY_MARGIN_M = 0.1  # below a floor
 
+_HERE = np.eye(4)
+
 Bytes = NDArray[np.uint8]
 
 
@@ -395,9 +397,8 @@ def occupied_of(
 
     As ``below``, ``columns`` and ``slices`` of a :class:`View`.
     """
-    every = scene.surface
-    near = np.hypot(every[:, 0], every[:, 1]) < config.range_m
-    surface = _native.voxel_grid(every[near], config.cell)
+    near = _native.moved_crop(scene.surface, _HERE, config.range_m)
+    surface = _native.voxel_grid(near, config.cell)
     distance = np.hypot(surface[:, 0], surface[:, 1])
     around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
     floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
