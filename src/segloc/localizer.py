@@ -221,8 +221,8 @@ class Localizer:
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        A pose at first sight is accepted at once if it is as sure as can be. Else segments are
-        matched; if they are inconclusive, the proposers are used, in order, until a place is
+        Without a prior, a pose at first sight is accepted if it is as sure as can be. Else segments
+        are matched; if they are inconclusive, the proposers are used, in order, until a place is
         accepted.
 
         Parameters
@@ -240,8 +240,8 @@ class Localizer:
         times = times or StageTimes(self.clock)
         is_near, min_confidence = allowed(near), self.config.verification.min_confidence
         query_cloud = self.likelihood.query(query.scene)
-        if not (known or thorough):
-            seen = self._at_first_sight(query, query_cloud, times, near)
+        if near is None and not (known or thorough):  # near a prior, matching takes less
+            seen = self._at_first_sight(query, query_cloud, times)
             if seen is not None and seen.reason is None:
                 return seen
         agreed = self._agreed(query, times, near)
@@ -275,7 +275,7 @@ class Localizer:
         return self.likelihood.compared(self.likelihood.query(scene), known)
 
     def _at_first_sight(
-        self, query: Query, query_cloud: QueryCloud, times: StageTimes, near: Prior | None
+        self, query: Query, query_cloud: QueryCloud, times: StageTimes
     ) -> Search | None:
         """Return the result if a place at first sight is as sure as can be; else None.
 
@@ -284,12 +284,12 @@ class Localizer:
         if self.first_sight is None:
             return None
         with times("pose"):
-            proposed = self.first_sight.propose(query, near)
+            proposed = self.first_sight.propose(query)
         if not proposed:
             return None
         candidates = [replace(c, proposer=self.first_sight.name) for c in proposed]
         with times("verification"):
-            scorer = self.likelihood.scorer(query_cloud, allowed=allowed(near))
+            scorer = self.likelihood.scorer(query_cloud)
             scorer.add(candidates)
             posterior = scorer.measure_at_once()
         if posterior is None:
@@ -302,7 +302,6 @@ class Localizer:
             replace(posterior, places=places),
             scorer.places,
             self.config.verification.min_confidence,
-            near,
         )
 
     def _agreed(self, query: Query, times: StageTimes, near: Prior | None) -> Agreed:
