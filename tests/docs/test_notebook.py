@@ -25,7 +25,7 @@ def test_the_notebook_runs() -> None:
         for output in cell.outputs
     ]
     shown = "".join(lines)
-    assert "confidence" in shown and "cm off" in shown and "segments agree" in shown
+    assert "confidence" in shown and "cm off" in shown and "first sight" in shown
     assert "False - " in lines[-1]
     pictures = [
         output

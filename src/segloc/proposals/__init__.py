@@ -1,4 +1,4 @@
-"""Candidate poses of a query: segments and occupancy."""
+"""Candidate poses of a query: first sight, segments and occupancy."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from ..system import lazy
 
 if TYPE_CHECKING:
+    from .first_sight import FirstSight as FirstSight
     from .matching import Matcher as Matcher
     from .matching import MatchingConfig as MatchingConfig
     from .pose import PoseConfig as PoseConfig
@@ -17,6 +18,7 @@ else:
     __getattr__, __dir__ = lazy(
         __name__,
         {
+            "first_sight": "FirstSight",
             "matching": "Matcher MatchingConfig",
             "pose": "PoseConfig PoseEstimator",
             "proposer": "Estimator Query",

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from segloc import Config, Localizer, geometry
-from segloc.proposals.first_sight import FirstSight
+from segloc.proposals import FirstSight
 
 from ..calibration.rows import HOME, World, errors, is_right, worlds_of
 from ..report import Table, publish
