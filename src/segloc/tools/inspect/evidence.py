@@ -22,6 +22,7 @@ from ...likelihood import (
 )
 from ...likelihood.model import as_by_chance, known_odds
 from ...pipeline import Search
+from ...proposals.first_sight import FirstSight
 from ...system.text import quantity
 
 LABELS = {
@@ -98,8 +99,8 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     if others:
         over = tuple(np.subtract(best.features, others[0].features).tolist())
         beside = _beside(fit, _fit(found, others[0]))
-    if not found.proposed:
-        words["inliers_over_rival"] = f"not measured: {found.proposer} decides without segments"
+    if found.proposer == FirstSight.name:
+        words["inliers_over_rival"] = "not measured: first sight decides without segments"
         beside["inliers_over_rival"] = ""
     return tuple(
         Part(
