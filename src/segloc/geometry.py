@@ -257,3 +257,9 @@ def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArr
     turn[3:, :3] = R
     turned: NDArray[np.float64] = turn @ covariance @ turn.T
     return turned
+
+
+def spaced(path: Float64, metres: float) -> Float64:
+    """Return the positions of a path, (M, 3), of which each is the first one in its cell."""
+    _, first = np.unique(np.floor(path / metres).astype(np.int64), axis=0, return_index=True)
+    return np.ascontiguousarray(path[np.sort(first)])

@@ -57,8 +57,7 @@ class Agreed:
     @classmethod
     def none(cls) -> Agreed:
         """Return what agrees where segments were not matched."""
-        rows, numbers = np.empty(0, np.int64), np.empty(0, np.float32)
-        return cls(0, Matches(rows, rows, numbers, numbers), [], lambda _: 0)
+        return cls(0, Matches.none(), [], lambda _: 0)
 
 
 @dataclass(frozen=True)

@@ -412,6 +412,12 @@ class Matches:
     distance: Float32
     score: Float32
 
+    @classmethod
+    def none(cls) -> Matches:
+        """Return no matches."""
+        rows, numbers = np.empty(0, np.int64), np.empty(0, np.float32)
+        return cls(rows, rows, numbers, numbers)
+
     def __len__(self) -> int:
         return len(self.query)
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from segloc import geometry
 from segloc._native import KnownSpace, PointIndex
-from segloc.likelihood.observation import HIT, MISSED, THROUGH, UNKNOWN, spaced
+from segloc.likelihood.observation import HIT, MISSED, THROUGH, UNKNOWN
 from segloc.types import Float32, Float64
 
 REACH, BIN_DEG, RADIUS, MARGIN, HALF_WIDTH, MOST = 15.0, 3.0, 0.5, 0.7, 0.2, 8
@@ -123,5 +123,5 @@ def test_another_storey_does_not_tell() -> None:
 
 def test_viewpoints_are_spaced() -> None:
     along = np.column_stack([np.arange(-40.0, 40.0, 0.5), np.zeros((160, 2))])
-    kept = spaced(along, 3.0)
+    kept = geometry.spaced(along, 3.0)
     assert 26 <= len(kept) <= 28 and {tuple(p) for p in kept} <= {tuple(p) for p in along}

@@ -286,7 +286,7 @@ class MapCloud:
         self._close = close_surface(cloud, target=True)
         self._known = _native.KnownSpace(
             index,
-            spaced(self._path, _VIEWPOINT_SPACING_M),
+            geometry.spaced(self._path, _VIEWPOINT_SPACING_M),
             config.visibility_range,
             config.visibility_bin,
             config.visibility_margin,
@@ -455,12 +455,6 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
-
-
-def spaced(path: Float64, metres: float) -> Float64:
-    """Return the positions of a path, (M, 3), of which each is the first one in its cell."""
-    _, first = np.unique(np.floor(path / metres).astype(np.int64), axis=0, return_index=True)
-    return np.ascontiguousarray(path[np.sort(first)])
 
 
 def patches(points: Float32, side_m: float) -> Int64:

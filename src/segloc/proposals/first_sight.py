@@ -152,8 +152,8 @@ class _Places:
         path = prior_map.trajectory[:, :3, 3] - self._origin
         self._ground: Ground | None = None
         self._at = path[:0]
-        _, first = np.unique(np.floor(path / _SPACING_M), axis=0, return_index=True)
-        if not 0 < len(first) <= _MOST_PLACES or not prior_map.has_ground or is_storeyed(path):
+        places = geometry.spaced(path, _SPACING_M)
+        if not 0 < len(places) <= _MOST_PLACES or not prior_map.has_ground or is_storeyed(path):
             return
         cloud = _native.voxel_grid(prior_map.voxel_cloud.points, occupancy.cell)
         self._ground, below = ground_of(cloud, path, segmentation)
@@ -162,7 +162,7 @@ class _Places:
         xy, slices = cloud[above, :2], slices_of(heights[above])
         if not len(xy):
             return
-        self._at = path[np.sort(first)]
+        self._at = places
         images = [polar_image(*around) for around in _around(self._at[:, :2], xy, slices)]
         self._spectra = _spectra(np.stack(images))
         self._likeness = np.full(len(self._at), np.nan)
@@ -197,7 +197,7 @@ class _Places:
         return float(self._likeness[k])
 
     def pose(self, k: int, turn: float, below: float) -> Float64:
-        """Return the pose T_map_local at a place, of a view with its ground so far below."""
+        """Return the pose T_map_local at a place, of a view whose ground is at height ``below``."""
         assert self._ground is not None
         x, y = self._at[k, :2]
         z = self._ground.below(self._at[k : k + 1, :2])[0] - below

@@ -122,7 +122,7 @@ class TiledLocalizer(Localizer):
         index = self.tiles.index
         tiles = index.tiles if near is None else index.near(near)
         only = None if near is None else replace(near, anywhere=False)
-        matches, found = _NONE, list[Candidate]()
+        matches, found = Matches.none(), list[Candidate]()
         if len(tiles) > MAX_ALL:
             with times("tiles"):
                 matches = self._vote.matches(query.descriptors, near)
@@ -216,11 +216,6 @@ class TiledLocalizer(Localizer):
         return Search(
             self.prior_map, len(matches), matches, found, Posterior(), reason, message, near=near
         )
-
-
-_NONE = Matches(
-    np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.float32), np.empty(0, np.float32)
-)
 
 
 def _bytes(localizer: Localizer) -> int:
