@@ -5,6 +5,7 @@
 
 #include "bindings/bindings.h"
 #include "proposals/occupancy/occupancy_pyramid.h"
+#include "proposals/occupancy/polar_images.h"
 #include "proposals/occupancy/pose_search.h"
 
 namespace segloc::bindings {
@@ -93,9 +94,36 @@ auto search(const PoseSearch& self, const In2<float>& columns, const In1<std::ui
   return std::make_tuple(to_numpy(std::move(poses), {found, 3}), to_numpy(std::move(scores)));
 }
 
+auto polar_images_(const In2<float>& cells, const In1<std::uint8_t>& slices,
+                   const In2<float>& places, double ring_m, int rings, int bands, int sectors,
+                   int threads) {
+  require(cells.shape(1) == 2, "cells must have shape (N, 2)");
+  require(slices.shape(0) == cells.shape(0), "slices must have one value for each cell");
+  require(places.shape(1) == 2, "places must have shape (P, 2)");
+  require(places.shape(0) <= 1'000'000, "there are more than 1000000 places");
+  require_between(ring_m, 0.01, 1000.0, "ring_m");
+  require(rings >= 1 && rings <= 100, "rings must be from 1 to 100");
+  require(bands == 1 || bands == 2 || bands == 4 || bands == 8, "bands must divide 8");
+  require(sectors >= 2 && sectors <= 360 && sectors % 2 == 0,
+          "sectors must be an even number from 2 to 360");
+  std::vector<std::uint8_t> images;
+  {
+    nb::gil_scoped_release release;
+    require_usable(cells.data(), cells.size(), "cells");
+    require_usable(places.data(), places.size(), "places");
+    images = polar_images(cells.data(), slices.data(), cells.shape(0), places.data(),
+                          places.shape(0), {ring_m, rings, bands, sectors}, threads);
+  }
+  return to_numpy(std::move(images), {places.shape(0), std::size_t(rings), std::size_t(bands),
+                                      std::size_t(sectors)});
+}
+
 }  // namespace
 
 void bind_occupancy(nb::module_& m) {
+  m.def("polar_images", &polar_images_, nb::arg("cells").noconvert(),
+        nb::arg("slices").noconvert(), nb::arg("places").noconvert(), nb::arg("ring_m"),
+        nb::arg("rings"), nb::arg("bands"), nb::arg("sectors"), nb::arg("threads") = 0);
   nb::class_<PoseSearch>(m, "PoseSearch")
       .def("__init__", &construct, nb::arg("points").noconvert(), nb::arg("slices").noconvert(),
            nb::arg("roots").noconvert(), nb::arg("cell"), nb::arg("levels"), nb::arg("range"))

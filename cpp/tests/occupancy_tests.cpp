@@ -1,5 +1,6 @@
 // The occupancy search, at every size from nothing up.
 #include "proposals/occupancy/occupancy_pyramid.h"
+#include "proposals/occupancy/polar_images.h"
 #include "proposals/occupancy/pose_search.h"
 #include "tests/check.h"
 
@@ -68,6 +69,35 @@ void refuses_what_lies_too_far_apart() {
   CHECK_THROWS(SearchArea(pyramid, roots, 2, 20.0));
 }
 
+// Each cell lies in one direction and ring of an image, or beyond it, whatever the others are.
+void sees_each_cell_once() {
+  const PolarGrid grid{1.5, 4, 2, 16};
+  const std::vector<float> places = {0.0f, 0.0f, 3.0f, -2.0f};
+  const auto cells = random_floats(2 * 300, -9.0f, 9.0f, 12);
+  const std::vector<std::uint8_t> slices(300, 0x21);  // one in each band
+  std::vector<std::uint8_t> all(2 * 4 * 2 * 16);
+  for (std::size_t i = 0; i < slices.size(); ++i) {
+    const auto one = polar_images(&cells[2 * i], &slices[i], 1, places.data(), 2, grid, 1);
+    for (std::size_t k = 0; k < 2; ++k) {
+      const double dx = cells[2 * i] - places[2 * k], dy = cells[2 * i + 1] - places[2 * k + 1];
+      const double ring = std::hypot(dx, dy) / 1.5;
+      const double turn = std::atan2(dy, dx) / (2 * 3.14159265358979323846);
+      const int sector = static_cast<int>(std::floor(16 * turn) + 16) % 16;
+      int seen = 0;
+      for (std::size_t j = 0; j < 128; ++j) seen += one[128 * k + j];
+      CHECK(seen == (ring < 4 ? 2 : 0));
+      if (ring < 4) {
+        CHECK(one[128 * k + 32 * static_cast<std::size_t>(ring) + static_cast<std::size_t>(sector)]);
+      }
+    }
+    for (std::size_t j = 0; j < all.size(); ++j) all[j] |= one[j];
+  }
+  const auto together =
+      polar_images(cells.data(), slices.data(), slices.size(), places.data(), 2, grid, 2);
+  CHECK(together == all);
+  digest("polar_images", together);
+}
+
 }  // namespace
 }  // namespace segloc
 
@@ -75,4 +105,5 @@ void occupancy_tests() {
   segloc::finds_what_it_was_made_of();
   segloc::lays_out_the_levels();
   segloc::refuses_what_lies_too_far_apart();
+  segloc::sees_each_cell_once();
 }

@@ -231,6 +231,17 @@ class KnownSpace:
         self, points: NDArray[np.float32], T_map_local: NDArray[np.float64], radius: float
     ) -> NDArray[np.uint8]: ...
 
+def polar_images(
+    cells: NDArray[np.float32],
+    slices: NDArray[np.uint8],
+    places: NDArray[np.float32],
+    ring_m: float,
+    rings: int,
+    bands: int,
+    sectors: int,
+    threads: int = 0,
+) -> NDArray[np.uint8]: ...
+
 class PoseSearch:
     def __init__(
         self,

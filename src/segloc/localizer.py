@@ -345,7 +345,8 @@ def first_sight_of(prior_map: SegmentMap, config: Config) -> FirstSight | None:
     """Return the proposer that comes before segments; None if it is not enabled."""
     if not (config.first_sight.enabled and config.occupancy.enabled):
         return None
-    return FirstSight(prior_map, config.first_sight, config.occupancy, config.segmentation)
+    sections = config.first_sight, config.occupancy, config.segmentation
+    return FirstSight(prior_map, *sections, config.threads)
 
 
 def proposers_of(

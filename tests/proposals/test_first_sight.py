@@ -12,7 +12,8 @@ from segloc_lab.padding import beside_its_mirror, mirrored, remade
 from segloc import Config, Localizer, Prior, Scan, SegmentMap, geometry
 from segloc.proposals import first_sight
 from segloc.proposals.first_sight import FirstSight, FirstSightConfig
-from segloc.types import Candidate, Pose
+from segloc.proposals.occupancy import Bytes
+from segloc.types import Candidate, Float64, Pose
 
 AT = (-8.0, 1.0, 1.7)
 
@@ -29,6 +30,30 @@ def proposed(
 def off(T: Pose, truth: Pose) -> tuple[float, float]:
     delta = geometry.inverse(truth) @ T
     return float(np.hypot(*delta[:2, 3])), math.degrees(geometry.rotation_angle(delta))
+
+
+def drawn(centres: Float64, slices: Bytes) -> Bytes:
+    """Return the image around the origin, by NumPy."""
+    x, y = centres.T
+    ring = np.floor(np.hypot(x, y) / 1.5).astype(int)
+    sector = np.floor(64 * np.arctan2(y, x) / (2 * np.pi)).astype(int) % 64
+    image = np.zeros((20, 4, 64), np.uint8)
+    for band in range(4):
+        chosen = (slices >> 2 * band & 3 > 0) & (ring < 20)
+        image[ring[chosen], band, sector[chosen]] = 1
+    return image
+
+
+@pytest.mark.parametrize("count", [0, 1, 3000])
+def test_images_are_those_of_numpy(count: int) -> None:
+    rng = np.random.default_rng(count)
+    centres = rng.normal(0, 18, (count, 2)).astype(np.float32)
+    slices = rng.integers(0, 256, (2, count)).astype(np.uint8).min(axis=0)
+    places = np.array([(0, 0), (12, -5), (0, 400)], np.float32)
+    images = first_sight.polar_images(centres, slices, places, 2)
+    expected = [drawn(centres.astype(np.float64) - place, slices) for place in places]
+    np.testing.assert_array_equal(images, expected)
+    assert images[:2].any() == (count > 0) and not images[2].any()
 
 
 @pytest.mark.parametrize("yaw", [0.3, 2.5, -1.8])

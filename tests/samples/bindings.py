@@ -203,6 +203,9 @@ def _occupancy() -> Iterator[tuple[str, Call]]:
     made = {"points": points, "slices": slices, "roots": roots}
     made |= {"cell": 0.5, "levels": 3, "range": 10.0}
     yield "PoseSearch", Call(_native.PoseSearch, made)
+    images = {"cells": points[:, :2].copy(), "slices": slices, "places": points[:3, :2].copy()}
+    images |= {"ring_m": 1.5, "rings": 4, "bands": 2, "sectors": 16, "threads": 2}
+    yield "polar_images", Call(_native.polar_images, images)
     requested = {"columns": points[:40, :2].copy() / 2, "slices": slices[:40].copy(), "yaws": 12}
     requested |= {"free": points[40:60, :2].copy() / 2, "clearance": np.full(20, 2, np.uint8)}
     requested |= {

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from .. import _native
+from .. import _native, geometry
 from ..system.section import Section
 from ..types import Float32, LocalCloud, Segments
 
@@ -106,8 +106,8 @@ def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32
         or max(np.ptp(points[:, 0]), np.ptp(points[:, 1])) <= wide
     ):
         return _native.heights_above_ground(points, *ground)
-    blocks = np.floor(points[:, :2].astype(np.float64) / wide).astype(np.int64)
-    number = np.unique(blocks, axis=0, return_inverse=True)[1].reshape(-1)
+    blocks = geometry.cells_of(points[:, :2].astype(np.float64), wide)
+    _, number = np.unique(geometry.keys_of(blocks), return_inverse=True)
     heights = np.empty(len(points), np.float32)
     for k in range(number.max() + 1):
         here = number == k

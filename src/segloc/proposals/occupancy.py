@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from .. import _native, geometry
 from ..frontend.segmentation import Segmentation, SegmentationConfig, heights_above_ground
+from ..geometry import cells_of, distinct, keys_of
 from ..map.voxel_cloud import VoxelCloud
 from ..prior import Prior
 from ..system.section import Section
@@ -334,8 +335,8 @@ def is_storeyed(path: Float64) -> bool:
     """
     if not len(path) or np.ptp(path[:, 2]) < _MIN_STOREY_HEIGHT_M:
         return False
-    _, which = np.unique(cells_of(path[:, :2], _STOREY_CELL_M), axis=0, return_inverse=True)
-    which = which.reshape(-1)
+    keys = keys_of(cells_of(path[:, :2], _STOREY_CELL_M))
+    _, which = np.unique(keys, return_inverse=True)
     low, high = np.full(which.max() + 1, np.inf), np.full(which.max() + 1, -np.inf)
     np.minimum.at(low, which, path[:, 2])
     np.maximum.at(high, which, path[:, 2])
@@ -482,7 +483,8 @@ def ground_of(
     where = (cells[first].astype(np.float64) + 0.5) * _GROUND_CELL_M
     if len(path) and len(cloud):
         distance, station = nearest_of(path[:, :2], where)
-        floor = path[station, 2] - _sensor_height(cloud, path)
+        near = distance[which] < _FLOOR_RADIUS_M + _GROUND_CELL_M
+        floor = path[station, 2] - _sensor_height(cloud[near], path)
         ground = plausible_ground(ground, floor[which], distance[which])
     sums = np.bincount(which, weights=ground, minlength=len(first))
     counts = np.maximum(np.bincount(which, minlength=len(first)), 1)
@@ -529,20 +531,3 @@ def nearest_of(
     """Return the distance to the nearest of (N, 2) targets, and its row; beyond: infinity and N."""
     distance, index = cKDTree(targets).query(positions, distance_upper_bound=within)
     return np.asarray(distance), np.asarray(index)
-
-
-def keys_of(cells: Int64) -> Int64:
-    """Return one key per (N, 2) cell, in the order of x and y."""
-    keys: Int64 = cells[:, 0] * (1 << 32) + cells[:, 1]
-    return keys
-
-
-def distinct(cells: Int64) -> Int64:
-    """Return the distinct cells of (N, 2), in the order of x and y."""
-    return cells[np.unique(keys_of(cells), return_index=True)[1]]
-
-
-def cells_of(points: NDArray[np.floating[Any]], width: float) -> Int64:
-    """Return the square cell of each of (N, 2) points, (N, 2)."""
-    cells: Int64 = np.floor(points / width).astype(np.int64)
-    return cells

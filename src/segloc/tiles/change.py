@@ -12,6 +12,7 @@ import numpy as np
 
 from ..config import Config, map_config
 from ..errors import DatasetError, MapMismatch
+from ..geometry import cells_of
 from ..joining.same_place import check_same_place
 from ..joining.shift import TO_THE_FRAME, Session, Shift, check_shift
 from ..joining.update import UpdateConfig, UpdateCounts, update_map
@@ -30,7 +31,7 @@ from .cut import (
     write_square,
     write_tile,
 )
-from .index import TileIndex, cells_of
+from .index import TileIndex
 from .localizer import localizer_in
 from .store import Store, store_of
 from .tiled_map import TiledMap
@@ -214,7 +215,7 @@ def _change(
 
 def _cells_near(places: Float64, reach_m: float, size_m: float) -> set[Cell]:
     """Return the squares within reach of places, by the bounding boxes of occupied squares."""
-    cells, square = np.unique(cells_of(places, size_m), axis=0, return_inverse=True)
+    cells, square = np.unique(cells_of(places[:, :2], size_m), axis=0, return_inverse=True)
     low, high = np.full((len(cells), 2), np.inf), np.full((len(cells), 2), -np.inf)
     np.minimum.at(low, square.reshape(-1), places[:, :2])
     np.maximum.at(high, square.reshape(-1), places[:, :2])

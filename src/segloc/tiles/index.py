@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError
 
 from ..errors import MapFormatError
+from ..geometry import cells_of
 from ..prior import Prior
 from ..system.checks import MAX_METRES
 from ..system.section import Section
@@ -93,10 +93,10 @@ class TileIndex(Section):
 
         Off the trajectory there may be none; then it is the nearest whose margin reaches there.
         """
-        by_cell = {tile.cell: tile for tile in self.tiles}
+        by_cell, places = {tile.cell: tile for tile in self.tiles}, positions[:, :2]
         return [
             by_cell.get((int(cell[0]), int(cell[1]))) or self._reaching(x, y)
-            for (x, y), cell in zip(positions[:, :2], cells_of(positions, self.size_m), strict=True)
+            for (x, y), cell in zip(places, cells_of(places, self.size_m), strict=True)
         ]
 
     def nearest(self, positions: Float64, tiles: Sequence[Tile]) -> list[Tile]:
@@ -122,12 +122,6 @@ class TileIndex(Section):
         beyond = np.maximum(np.maximum(low - at, at - low - self.size_m), 0.0)
         distances: Float64 = np.hypot(beyond[..., 0], beyond[..., 1])
         return distances
-
-
-def cells_of(positions: ArrayLike, size_m: float) -> NDArray[np.int64]:
-    """Return the squares that contain (N, 2 or 3) positions, (N, 2)."""
-    cells: NDArray[np.int64] = np.floor(np.asarray(positions)[:, :2] / size_m).astype(np.int64)
-    return cells
 
 
 def digest_of(data: bytes) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..config import Config
 from ..frontend.segmentation import Segmentation
+from ..geometry import cells_of
 from ..likelihood import Likelihood, shipped_model
 from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud
 from ..likelihood.registration import Aligner
@@ -20,7 +21,7 @@ from ..prior import Prior
 from ..proposals.occupancy import OccupancyProposer, view_of
 from ..proposals.proposer import Query
 from ..types import Bools, Candidate, Float64, Pose
-from .index import Tile, TileIndex, cells_of
+from .index import Tile, TileIndex
 from .tiled_map import TiledMap
 
 MAX_ALL = 10
@@ -211,6 +212,6 @@ class TiledOccupancy:
 def _in_no_other(positions: Float64, tile: Tile, index: TileIndex) -> Bools:
     """Return which of (N, 2) positions are in the square of a tile, or in that of none."""
     others = np.array([other.cell for other in index.tiles if other.cell != tile.cell])
-    cells = cells_of(positions, index.size_m)
+    cells = cells_of(positions[:, :2], index.size_m)
     taken: Bools = (cells[:, None] == others.reshape(-1, 2)).all(axis=2).any(axis=1)
     return ~taken
