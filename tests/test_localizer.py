@@ -248,9 +248,9 @@ def test_nothing_more_is_tried_after_the_deadline(plaza_map: SegmentMap) -> None
     ticks = itertools.count()
     localizer = Localizer(plaza_map, clock=lambda: float(next(ticks)))
     elsewhere = Plaza(1).scan(geometry.yaw_transform(0.3, (0.0, 0, 1.7)))
-    looking, describing, matching, verifying = 3, 2, 3, 1  # stages, each of which takes a second
+    looking, describing, matching, verifying = 3, 3, 3, 1  # stages, each of which takes a second
     everything = looking + describing + matching + 1 + verifying  # one proposer
-    requested = {None: everything, 1e9: everything, 0.0: everything - 1, 7.5e3: everything - 1}
+    requested = {None: everything, 1e9: everything, 0.0: everything - 1, 8.5e3: everything - 1}
     for deadline_ms, seconds in requested.items():
         found = localizer.localize(elsewhere, deadline_ms=deadline_ms)
         assert not found.localized and found.times_ms["total"] == 1e3 * seconds

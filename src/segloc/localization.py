@@ -197,7 +197,7 @@ class _Answer:
     not_in_map : float
         Probability of none of these places, in [0, 1].
     counts : dict
-        Number of items of each stage.
+        Number of items of each stage; 0 where first sight needs none.
     times_ms : dict
         Time of each stage [ms].
     stamp : float or None

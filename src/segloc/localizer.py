@@ -12,7 +12,7 @@ from .config import Config, query_config
 from .descriptors import create
 from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
-from .frontend.segmentation import Segmenter
+from .frontend.segmentation import Segmentation, Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
 from .likelihood.observation import MapCloud, QueryCloud
 from .localization import Localization
@@ -27,7 +27,7 @@ from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query
 from .proposals.proposer import create as create_proposer
 from .system.stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, Float64, LocalCloud, Pose, Segments
+from .types import Candidate, Descriptors, Float64, LocalCloud, Pose
 
 _DEVIATIONS = 2.0
 """Tolerances of a map by which a point on a wall may be farther off. Chosen for plans, and judged
@@ -166,10 +166,12 @@ class Localizer:
             cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
         with times("segmentation"):
             scene = self.segmenter.segment(cloud)
-        return Query(cloud, scene, partial(self._descriptors, scene.segments, times))
+        return Query(cloud, scene, partial(self._descriptors, scene, times))
 
-    def _descriptors(self, segments: Segments, times: StageTimes) -> Descriptors:
-        """Describe segments, when they are matched."""
+    def _descriptors(self, scene: Segmentation, times: StageTimes) -> Descriptors:
+        """Compute and describe segments, when they are matched."""
+        with times("segmentation"):
+            segments = scene.segments
         with times("preprocessing"):
             prepared = self.descriptor.prepare(segments)
         with times("descriptor"):

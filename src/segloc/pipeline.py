@@ -140,7 +140,7 @@ class Search:
         return {
             "scans": query.cloud.num_scans,
             "points": len(query.cloud.points),
-            "segments": len(query.scene.segments),
+            "segments": query.scene.num_segments,
             "proposed": self.proposed,
             "matches": len(self.matches),
             "candidates": len(self.candidates),

@@ -73,8 +73,9 @@ def single_pass(
             cloud = localizer.accumulator.gather(cloud)
     with watch("segmentation"):
         scene = localizer.segmenter.segment(cloud)
+        segments = scene.segments
     with watch("preprocessing"):
-        prepared = localizer.descriptor.prepare(scene.segments)
+        prepared = localizer.descriptor.prepare(segments)
     with watch("descriptor"):
         descriptors = localizer.descriptor.encode(prepared)
     with watch("matching"):
@@ -83,11 +84,11 @@ def single_pass(
         matches = localizer.matcher.prune(descriptors, candidates)
     with watch("pose"):
         hypotheses = localizer.estimator.estimate(
-            scene.segments.centroids, localizer.prior_map.centroids, matches
+            segments.centroids, localizer.prior_map.centroids, matches
         )
     with watch("verification"):
         likelihood, where = localizer.likelihood, localizer.prior_map.centroids
-        agree = localizer.estimator.agreement(scene.segments.centroids, where, matches)
+        agree = localizer.estimator.agreement(segments.centroids, where, matches)
         scorer = likelihood.scorer(likelihood.query(scene), agree)
         scorer.add(hypotheses)
         scorer.measure()

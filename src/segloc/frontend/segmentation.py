@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -115,22 +116,39 @@ def heights_above_ground(points: Float32, config: SegmentationConfig) -> Float32
     return heights
 
 
-@dataclass(frozen=True)
 class Segmentation:
     """Segments, structure and ground of a local cloud.
 
-    Attributes
+    Parameters
     ----------
-    segments : Segments
+    segments : Segments or callable
+        The segments; or computes them when they are needed.
     structure : (N, 3) float32
         Voxelised points above ground, local frame. Verification compares them with the map.
     ground : (M, 3) float32
         The other points, thinned. They fix the height and the tilt of a pose.
     """
 
-    segments: Segments
-    structure: Float32
-    ground: Float32
+    def __init__(
+        self, segments: Segments | Callable[[], Segments], structure: Float32, ground: Float32
+    ) -> None:
+        self._segments, self.structure, self.ground = segments, structure, ground
+
+    def __reduce__(self) -> tuple[type[Segmentation], tuple[Segments, Float32, Float32]]:
+        """Pickle what was computed, not how."""
+        return Segmentation, (self.segments, self.structure, self.ground)
+
+    @property
+    def segments(self) -> Segments:
+        """The segments; computed once."""
+        if callable(self._segments):
+            self._segments = self._segments()
+        return self._segments
+
+    @property
+    def num_segments(self) -> int:
+        """Number of segments; 0 before they are computed."""
+        return 0 if callable(self._segments) else len(self._segments)
 
     @property
     def surface(self) -> Float32:
@@ -145,7 +163,7 @@ class Segmenter:
         self.config = config or SegmentationConfig()
 
     def segment(self, cloud: LocalCloud) -> Segmentation:
-        """Voxelise, remove the ground, cluster above each height cut.
+        """Voxelise, remove the ground; cluster above each height cut, when segments are needed.
 
         An object may have a segment at each cut: two cars joined by a hedge are separate above it.
         """
@@ -156,14 +174,22 @@ class Segmenter:
             points = _native.voxel_grid(points, cluster.voxel_size)
         heights = heights_above_ground(points, config)
         structure, low = _native.split_by_height(points, heights, config.structure_height)
-        cluster = cluster.adapt(structure)
-        segments = _native.segments_above(
-            points,
-            heights,
-            cluster.height_cuts,
-            cluster.tolerance,
-            cluster.min_points,
-            cluster.max_points,
-        )
         ground = _native.voxel_grid(low, config.ground_voxel)
-        return Segmentation(Segments(*segments), structure, ground)
+        clusters = partial(_clusters, points, heights, cluster, structure)
+        return Segmentation(clusters, structure, ground)
+
+
+def _clusters(
+    points: Float32, heights: Float32, cluster: ClusterConfig, structure: Float32
+) -> Segments:
+    """Cluster points above each height cut, by parameters for the density of the structure."""
+    cluster = cluster.adapt(structure)
+    found = _native.segments_above(
+        points,
+        heights,
+        cluster.height_cuts,
+        cluster.tolerance,
+        cluster.min_points,
+        cluster.max_points,
+    )
+    return Segments(*found)

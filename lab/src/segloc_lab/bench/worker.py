@@ -130,9 +130,9 @@ class Work:
         marks.append(self.clock())
         cloud = self.accumulator.gather(query)
         marks.append(self.clock())
-        scene = self.segmenter.segment(cloud)
+        segments = self.segmenter.segment(cloud).segments
         marks.append(self.clock())
-        prepared = self.descriptor.prepare(scene.segments)
+        prepared = self.descriptor.prepare(segments)
         marks.append(self.clock())
         self.descriptor.encode(prepared)
         marks.append(self.clock())

@@ -67,7 +67,7 @@ RECORD = {
     "`overlap`",
     "not_in_map": "probability of none of these places",
     "counts": "items of each stage: scans, points, segments, proposed (matches before pruning), "
-    "matches, candidates",
+    "matches, candidates; 0 where first sight needs none",
     "translation_error_m": "with `--truth`: distance from the true position; null if not localized",
     "rotation_error_deg": "with `--truth`: angle to the true rotation; null if not localized",
     "correct": "with `--truth`: within the tolerance",

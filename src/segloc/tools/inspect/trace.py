@@ -152,7 +152,7 @@ def steps(trace: Trace) -> list[tuple[str, str]]:
     found = [
         ("cloud", f"{counts['points']} points of {scans}; tilt {tilt:.1f} deg, {result.attitude}"),
         ("ground", f"{len(trace.structure)} voxels above the ground"),
-        ("segments", f"{counts['segments']}{smallest}"),
+        ("segments", f"{len(trace.segments)}{smallest}"),
         ("matches", _matches(result)),
         ("poses", _poses(trace)),
     ]
