@@ -136,11 +136,12 @@ class Search:
         return min(self.candidates, key=order).proposer
 
     def counts(self, query: Query) -> dict[str, int]:
-        """Return the number of items of each stage."""
+        """Return the number of items of each stage; a refusal is explained by them."""
+        scene = query.scene
         return {
             "scans": query.cloud.num_scans,
             "points": len(query.cloud.points),
-            "segments": query.scene.num_segments,
+            "segments": scene.num_segments if self.reason is None else len(scene.segments),
             "proposed": self.proposed,
             "matches": len(self.matches),
             "candidates": len(self.candidates),
