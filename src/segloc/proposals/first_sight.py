@@ -116,8 +116,10 @@ class FirstSight:
 
     def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose a pose T_map_local with its correlation as ``fit``, or none."""
+        if not self._looks_around(query.scene.surface):  # no images for a sensor that never does
+            return []
         places = self._prepared()
-        if places is None or not self._looks_around(query.scene.surface):
+        if places is None:
             return []
         below, centres, slices = occupied_of(query.scene, self._occupancy, self._segmentation)
         best, turn, fit = places.most_like(centres, slices)
