@@ -279,3 +279,19 @@ def test_a_view_that_fixes_no_place_says_so(plaza_map: SegmentMap) -> None:
     for views, slides in (([wall], True), ([wall, opposite], True), ([wall, across], False)):
         found = localizer.localize(np.float32(np.concatenate(views)))
         assert not found.localized and (found.reason is Reason.TOO_LITTLE_IN_VIEW) == slides
+
+
+def test_segments_that_decide_alone_in_a_large_map_have_more_matches(
+    plaza: Plaza, plaza_map: SegmentMap
+) -> None:
+    scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
+    few = {"neighbours": 2, "growth": 0.0, "matches": 1}
+
+    def proposed(large: bool, occupancy: bool) -> int:
+        matching = few | {"grows_from": 10 if large else 10_000}
+        sections = {"matching": matching, "occupancy": {"enabled": occupancy}, "method": "geo"}
+        config = Config.model_validate(sections | {"first_sight": {"enabled": False}})
+        return Localizer(plaza_map, config).localize(scan).counts["proposed"]
+
+    assert proposed(large=True, occupancy=False) == 4 * proposed(large=True, occupancy=True)
+    assert proposed(large=False, occupancy=False) == proposed(large=False, occupancy=True)

@@ -108,11 +108,12 @@ class Localizer:
                 f"{self.descriptor.fingerprint}: pass the weights that it was built with, "
                 "or build it again"
             )
-        pruner = self.descriptor.pruner
-        self.matcher = Matcher(prior_map, config.matching, pruner=pruner, threads=threads)
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.first_sight = first_sight_of(prior_map, config) if proposers is None else None
         self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
+        alone = config.matching.alone(len(prior_map))
+        matching, pruner = config.matching if self.proposers else alone, self.descriptor.pruner
+        self.matcher = Matcher(prior_map, matching, pruner=pruner, threads=threads)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
         self._again = partial(
             Localizer,

@@ -13,6 +13,9 @@ from ..map.segment_map import SegmentMap
 from ..system.section import Section
 from ..types import Descriptors, Float32, Int64, Matches
 
+_MOST_ALONE = 32_768
+"""Most matches of a query where nothing but segments proposes poses: as many as vote."""
+
 
 class MatchingConfig(Section):
     """Number of matches per query segment."""
@@ -58,6 +61,14 @@ class MatchingConfig(Section):
         grown: int = round(self.neighbours * share**self.growth)
         least = max(self.neighbours, min(grown, self.max_neighbours))
         return max(least, min(self.escalation * least, self.matches // max(queried, 1)))
+
+    def alone(self, segments: int) -> MatchingConfig:
+        """Return the same for a map in which nothing but segments proposes poses.
+
+        If it is one from which neighbours grow, larger queries have more of them, too.
+        """
+        more = max(self.matches, _MOST_ALONE)
+        return self.model_copy(update={"matches": more}) if segments > self.grows_from else self
 
 
 class Matcher:
