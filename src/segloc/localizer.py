@@ -111,8 +111,8 @@ class Localizer:
         self.estimator = estimator or PoseEstimator(config.pose, threads=threads, seed=config.seed)
         self.first_sight = first_sight_of(prior_map, config) if proposers is None else None
         self.proposers = proposers_of(prior_map, config) if proposers is None else tuple(proposers)
-        alone = config.matching.alone(len(prior_map))
-        matching, pruner = config.matching if self.proposers else alone, self.descriptor.pruner
+        matching = config.matching if self.proposers else config.matching.alone(len(prior_map))
+        pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, matching, pruner=pruner, threads=threads)
         self.likelihood = likelihood or likelihood_of(prior_map, config)
         self._again = partial(

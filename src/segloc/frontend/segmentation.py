@@ -141,14 +141,16 @@ class Segmentation:
     @property
     def segments(self) -> Segments:
         """The segments; computed once."""
-        if callable(self._segments):
-            self._segments = self._segments()
-        return self._segments
+        found = self._segments
+        if callable(found):  # concurrent callers compute them twice, harmlessly
+            self._segments = found = found()
+        return found
 
     @property
     def num_segments(self) -> int:
         """Number of segments; 0 before they are computed."""
-        return 0 if callable(self._segments) else len(self._segments)
+        found = self._segments
+        return 0 if callable(found) else len(found)
 
     @property
     def surface(self) -> Float32:
