@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +29,7 @@ from segloc.types import Float32, Float64, Int64, Pose
 
 from ..outcomes import pose_error
 from ..padding import mirrored, padded
+from ..runner import Entry, Runner
 from ..script import parser
 from .worlds import KINDS, Made, bare, generated, kind_of, load_queries, seed_of
 
@@ -243,6 +245,18 @@ RIGHT_M, RIGHT_DEG = 2.0, 5.0
 def is_right(metres: ArrayLike, degrees: ArrayLike) -> NDArray[np.bool_]:
     """Return whether poses of these errors are right; NaN is wrong."""
     return (np.asarray(metres) < RIGHT_M) & (np.asarray(degrees) < RIGHT_DEG)
+
+
+def run_in_worlds(
+    doc: str | None, out: str, work: Callable[[World], Entry]
+) -> tuple[Namespace, list[Entry]]:
+    """Run a protocol in each world of a folder, its argument; return all arguments and results."""
+    runner = Runner(doc, out, parallel=True)
+    runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
+    runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
+    args = runner.parse()
+    chosen = worlds_of(args.worlds)[:: args.every]
+    return args, runner.run(work, chosen, ("world",), lambda world: [world.name])
 
 
 def main() -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,8 @@ import numpy as np
 from segloc import Config, Localizer, geometry
 from segloc.proposals import FirstSight
 
-from ..calibration.rows import HOME, World, errors, is_right, worlds_of
+from ..calibration.rows import HOME, World, errors, is_right, run_in_worlds
 from ..report import Table, publish
-from ..runner import Runner
 
 COLUMNS = (
     "kind",
@@ -122,13 +120,8 @@ def same(answer: dict[str, Any], what: str) -> bool:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "first-sight.jsonl", parallel=True)
-    runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
-    runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
-    args = runner.parse()
     work = partial(compared_in, config=Config(threads=1))
-    chosen = worlds_of(args.worlds)[:: args.every]
-    found = runner.run(work, chosen, ("world",), lambda world: [world.name])
+    args, found = run_in_worlds(__doc__, "first-sight.jsonl", work)
     publish(args.report, "At first sight", table(found))
 
 

@@ -9,7 +9,6 @@ asked, and the most promising places are measured to the end.
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,8 @@ from segloc import Config, Localizer
 from segloc.likelihood import log_odds, shipped_model
 from segloc.localization import Reason
 
-from ..calibration.rows import World, worlds_of
+from ..calibration.rows import World, run_in_worlds
 from ..report import Table, publish
-from ..runner import Runner
 
 COLUMNS = ("kind", "searches", "accepted", "thorough", "compared", "median", "95 %", "not in map")
 NOT_IN_MAP = 0.9
@@ -75,13 +73,8 @@ def table(worlds: list[dict[str, Any]], cap: float) -> Table:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "one-number.jsonl", parallel=True)
-    runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
-    runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
-    args = runner.parse()
     work = partial(compared_in, config=Config(threads=1))
-    chosen = worlds_of(args.worlds)[:: args.every]
-    found = runner.run(work, chosen, ("world",), lambda world: [world.name])
+    args, found = run_in_worlds(__doc__, "one-number.jsonl", work)
     cap = log_odds(1.0 - shipped_model().lapse) - 0.01  # rounding
     publish(args.report, "Reported and thorough", table(found, cap))
 
