@@ -259,10 +259,15 @@ def ros_covariance(covariance: NDArray[np.float64], T_map_sensor: Pose) -> NDArr
     return turned
 
 
+def first_of_cells(points: NDArray[np.floating[Any]], metres: float) -> NDArray[np.int64]:
+    """Return the rows of (N, 3) points of which each is the first one in its cubic cell."""
+    _, first = np.unique(np.floor(points / metres).astype(np.int64), axis=0, return_index=True)
+    return np.sort(first)
+
+
 def spaced(path: Float64, metres: float) -> Float64:
     """Return the positions of a path, (M, 3), of which each is the first one in its cell."""
-    _, first = np.unique(np.floor(path / metres).astype(np.int64), axis=0, return_index=True)
-    return np.ascontiguousarray(path[np.sort(first)])
+    return np.ascontiguousarray(path[first_of_cells(path, metres)])
 
 
 def cells_of(points: NDArray[np.floating[Any]], width: float) -> NDArray[np.int64]:

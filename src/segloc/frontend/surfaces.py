@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .. import _native
+from .. import _native, geometry
 from ..types import Float32, Float64
 
 _NEAR_M, _VOXEL_M = 25.0, 0.4
@@ -213,8 +213,8 @@ def _layered_share(points: Float32) -> tuple[float, float | None] | None:
         return None
     few = np.ascontiguousarray(near[:: 1 + len(near) // _SAMPLE])
     thinned = _native.voxel_grid(few, _FINE_M).astype(np.float64)
-    cells = np.floor(thinned[:, :2] / _COLUMN_M).astype(np.int64)
-    column = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    cells = geometry.cells_of(thinned[:, :2], _COLUMN_M)
+    _, column = np.unique(geometry.keys_of(cells), return_inverse=True)
     order = np.lexsort((thinned[:, 2], column))
     z, column = thinned[order, 2], column[order]
     starts = np.flatnonzero(np.diff(column, prepend=-1))

@@ -153,7 +153,7 @@ class ThinCloud:
             self.dropped.far += int((~near).sum())
             points = points[near]
         local = (points - self.origin).astype(np.float32)
-        cells = np.floor(local[:, :2] / _COLUMN_M).astype(np.int64)
+        cells = geometry.cells_of(local[:, :2], _COLUMN_M)
         order = np.lexsort((cells[:, 0], cells[:, 1]))
         starts = np.flatnonzero(np.diff(cells[order], axis=0).any(axis=1)) + 1
         for rows in np.split(order, starts):

@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ..geometry import cells_of, distinct
 from ..types import Bools, Float32, Float64, Int64
 
 CELL_M, STEP_M = 0.5, 0.3
@@ -52,7 +53,7 @@ def tops(points: Float32, sensor_height_m: float) -> Float64:
     (M, 3) float64
         The middle of each cell, at the height of the top.
     """
-    cells = np.floor(points[:, :2] / CELL_M).astype(np.int64)
+    cells = cells_of(points[:, :2], CELL_M)
     order = np.lexsort((points[:, 2], cells[:, 0], cells[:, 1]))
     cells, z = cells[order], points[order, 2].astype(np.float64)
     ends = (np.diff(cells, axis=0, append=cells[-1:] + 1) != 0).any(axis=1)
@@ -62,7 +63,7 @@ def tops(points: Float32, sensor_height_m: float) -> Float64:
 
 def cells_below(points: Float32) -> int:
     """Return the number of cells of the ground in which there are points (N, 3)."""
-    return len(np.unique(np.floor(points[:, :2] / CELL_M), axis=0))
+    return len(distinct(cells_of(points[:, :2], CELL_M)))
 
 
 @dataclass(frozen=True)
@@ -205,10 +206,10 @@ class Uncovered:
         at, (low, high) = self._ground.places[place], _BAND_M
         offsets = points - at.astype(np.float32)
         heights = offsets[:, 2] - offsets[:, :2] @ self._slope(place)
-        cells = np.floor(offsets[:, :2] / CELL_M)
+        cells = cells_of(offsets[:, :2], CELL_M)
 
         def count(heights: Float64) -> int:
-            return len(np.unique(cells[(heights > low) & (heights < high)], axis=0))
+            return len(distinct(cells[(heights > low) & (heights < high)]))
 
         return count(-heights) <= count(heights) + _SPARE_CELLS
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ..errors import ConfigError, MapFormatError, SeglocError
-from ..geometry import cells_of
+from ..geometry import cells_of, distinct
 from ..map.compact import CompactConfig, compacted
 from ..map.segment_map import SegmentMap, along, concatenate_maps, part_where, with_parts
 from ..system.processes import all_of
@@ -162,7 +162,7 @@ def _within(prior_map: SegmentMap, low: Float64, high: Float64) -> SegmentMap:
 
 def squares_of(positions: Float64, size_m: float) -> list[Cell]:
     """Return the squares that contain some of (N, 2 or 3) positions, sorted."""
-    return [(int(i), int(j)) for i, j in np.unique(cells_of(positions[:, :2], size_m), axis=0)]
+    return [(int(i), int(j)) for i, j in distinct(cells_of(positions[:, :2], size_m))]
 
 
 def write_square(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> Tile:

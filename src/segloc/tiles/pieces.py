@@ -212,6 +212,6 @@ class TiledOccupancy:
 def _in_no_other(positions: Float64, tile: Tile, index: TileIndex) -> Bools:
     """Return which of (N, 2) positions are in the square of a tile, or in that of none."""
     others = np.array([other.cell for other in index.tiles if other.cell != tile.cell])
-    cells = cells_of(positions[:, :2], index.size_m)
+    cells = cells_of(positions, index.size_m)
     taken: Bools = (cells[:, None] == others.reshape(-1, 2)).all(axis=2).any(axis=1)
     return ~taken

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConfigError, DatasetError, InvalidScan, SeglocError
+from ...geometry import cells_of
 from ...map.segment_map import SegmentMap
 from ...motion import odometry_covariance
 from ...system.checks import checked_pose
@@ -150,7 +151,7 @@ def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]
     folder.mkdir(parents=True, exist_ok=True)
     if leftover := next(folder.iterdir(), None):
         raise SeglocError(f"{folder}: contains {leftover.name}: choose a new folder")
-    corners = np.floor(points[:, :2].astype(np.float64) / tile_m).astype(np.int64)
+    corners = cells_of(points[:, :2].astype(np.float64), tile_m)
     order = np.lexsort((corners[:, 0], corners[:, 1]))
     starts = np.flatnonzero(np.diff(corners[order], axis=0, prepend=np.nan).any(axis=1))
     lines = [f"x_resolution: {tile_m:g}\n", f"y_resolution: {tile_m:g}\n"]

@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation
 
 from ...errors import ConfigError, SeglocError
 from ...frontend.segmentation import SegmentationConfig
+from ...geometry import cells_of
 from ...map.segment_map import SegmentMap
 from ...proposals.occupancy import ground_of, storeys
 from ...system.files import write_bytes, write_text
@@ -84,7 +85,7 @@ def _occupancy_grid(
     edge = options.resolution_m
     heights = cloud[:, 2] - ground_of(cloud, path, SegmentationConfig())[1]
     corner = np.floor(cloud[:, :2].min(axis=0) / edge).astype(np.float64) * edge
-    cells = np.floor((cloud[:, :2] - corner) / edge).astype(np.int64)
+    cells = cells_of(cloud[:, :2] - corner, edge)
     shape = cells[:, 1].max() + 1, cells[:, 0].max() + 1
     if shape[0] * shape[1] > _MAX_CELLS:
         raise ConfigError(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SeglocError
+from ...geometry import first_of_cells
 from ...types import Float32, Int64, Pose
 from .trace import Tables, Trace, confidence_tables, steps, summarize
 
@@ -176,10 +177,10 @@ class Stages:
 def stages_of(trace: Trace) -> Stages:
     """Reduce a trace to what a viewer draws."""
     other = trace.result.places[1] if len(trace.result.places) > 1 else None
-    keep = _first_of_each_voxel(trace.structure)
+    keep = first_of_cells(trace.structure, _VOXEL_M)
     segments = trace.segments
     owner = np.repeat(np.arange(len(segments)), segments.sizes)
-    few = _first_of_each_voxel(segments.points)
+    few = first_of_cells(segments.points, _VOXEL_M)
     return Stages(
         name=trace.name,
         summary=summarize(trace),
@@ -197,12 +198,6 @@ def stages_of(trace: Trace) -> Stages:
         matched=trace.pairs[:, 1],
         inliers=trace.inliers,
     )
-
-
-def _first_of_each_voxel(points: Float32) -> Int64:
-    cells = np.floor(points / _VOXEL_M).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return np.sort(first)
 
 
 _POINTS = ("points", "segment_points", "centroids")
