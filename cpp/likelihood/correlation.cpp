@@ -1,6 +1,7 @@
 #include "likelihood/correlation.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 
@@ -35,19 +36,19 @@ class Planes {
         half_(static_cast<int>(std::ceil(reach / cell)) + 1),
         side_(2 * half_ + 1),
         values_(static_cast<std::size_t>(kLayers) * side_ * side_ + kRun, 0) {
-    std::vector<std::uint8_t> occupied(values_.size(), 0);
-    map.visit(centre[0], centre[1], range, [&](const PointGrid::Point& p) {
-      mark(p[0] - centre[0], p[1] - centre[1], p[2] - centre[2], occupied);
-    });
     for (int y = 0; y < side_; y += kBlock) {
       for (int x = 0; x < side_; x += kBlock) {
         const double at[2] = {centre[0] + (x - half_) * cell, centre[1] + (y - half_) * cell};
         if (!map.is_mapped(static_cast<float>(at[0]), static_cast<float>(at[1]))) leave(x, y);
       }
     }
-    for (int layer = 0; layer < kLayers; ++layer) {
-      for (int y = 0; y < side_; ++y) value(&occupied[index(layer, 0, 0)], layer, y);
-    }
+    // The occupied layers of each cell, a bit each; with cells beside the first and the last.
+    const std::size_t wide = static_cast<std::size_t>(side_) + 2;
+    std::vector<std::uint8_t> occupied(wide * wide, 0);
+    map.visit_about(centre[0], centre[1], range, [&](const float* const* xyz, std::size_t count) {
+      mark(xyz, count, centre, occupied.data());
+    });
+    for (int y = 0; y < side_; ++y) value(&occupied[(y + 1) * wide], y);
   }
 
   // The row of a layer from a cell on; cells are counted from the centre's. A run may be read past
@@ -58,19 +59,34 @@ class Planes {
   std::ptrdiff_t shift(int y, int x) const { return std::ptrdiff_t{y} * side_ + x; }
   // Largest distance of a point from the centre, after its shift.
   double reach(double shift) const { return (half_ - 1) / cells_per_metre_ - shift; }
-  int cell(double v) const { return static_cast<int>(floor_of(v * cells_per_metre_ + 0.5)); }
+  int cell_of(double v) const { return static_cast<int>(floor_of(v * cells_per_metre_ + 0.5)); }
 
  private:
   std::size_t index(int layer, int y, int x) const {
     return (static_cast<std::size_t>(layer) * side_ + y) * side_ + x;
   }
 
-  void mark(double x, double y, double z, std::vector<std::uint8_t>& occupied) const {
-    const int cx = cell(x) + half_, cy = cell(y) + half_;
-    const int low = std::max(layer_of(z - kBetween), 0);
-    const int high = std::min(layer_of(z + kBetween), kLayers - 1);
-    if (cx < 0 || cy < 0 || cx >= side_ || cy >= side_) return;
-    for (int layer = low; layer <= high; ++layer) occupied[index(layer, cy, cx)] = 1;
+  // Marks the layers of points. The compiler turns the first loop into vectors.
+  void mark(const float* const* xyz, std::size_t count, const double* centre,
+            std::uint8_t* occupied) const {
+    // Cells from the margin's first one on, and layers from the one below the lowest.
+    std::array<std::int32_t, PointIndex::kBlock> x, y, low, high;
+    const auto whole = [](double v, double most) {
+      const double least = v > 0.0 ? v : 0.0;
+      return static_cast<std::int32_t>(least < most ? least : most);
+    };
+    const double wide = side_ + 2, from = half_ + 1.5, bottom = kBelow + kLayer;
+    for (std::size_t i = 0; i < count; ++i) {
+      const double z = xyz[2][i] - centre[2] + bottom;
+      x[i] = whole((xyz[0][i] - centre[0]) * cells_per_metre_ + from, wide - 1.0);
+      y[i] = whole((xyz[1][i] - centre[1]) * cells_per_metre_ + from, wide - 1.0);
+      low[i] = whole((z - kBetween) / kLayer, kLayers + 1.0);
+      high[i] = whole((z + kBetween) / kLayer, kLayers + 1.0);
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+      const unsigned layers = 1u << low[i] | 1u << high[i];
+      occupied[y[i] * (side_ + 2) + x[i]] |= static_cast<std::uint8_t>(layers >> 1);
+    }
   }
 
   // A block in which the map has nothing.
@@ -83,19 +99,18 @@ class Planes {
     }
   }
 
-  // A row of one layer, by what is occupied in and beside it.
-  void value(const std::uint8_t* plane, int layer, int y) {
-    std::vector<std::uint8_t> column(static_cast<std::size_t>(side_) + 2, 0);
-    for (int by = std::max(y - 1, 0); by <= std::min(y + 1, side_ - 1); ++by) {
-      const std::uint8_t* row = plane + static_cast<std::size_t>(by) * side_;
-      for (int x = 0; x < side_; ++x) column[x + 1] |= row[x];
-    }
-    const std::uint8_t* here = plane + static_cast<std::size_t>(y) * side_;
-    std::uint8_t* values = &values_[index(layer, y, 0)];
-    for (int x = 0; x < side_; ++x) {
-      const int beside = column[x] | column[x + 1] | column[x + 2];
-      const int most = std::max(kHere * here[x], kBeside * beside);
-      values[x] = static_cast<std::uint8_t>(std::max<int>(values[x], most));
+  // A row of all layers, by what is occupied in and beside it.
+  void value(const std::uint8_t* row, int y) {
+    const int wide = side_ + 2;
+    std::vector<std::uint8_t> column(static_cast<std::size_t>(wide)), beside(column);
+    for (int x = 0; x < wide; ++x) column[x] = row[x - wide] | row[x] | row[x + wide];
+    for (int x = 0; x < side_; ++x) beside[x] = column[x] | column[x + 1] | column[x + 2];
+    for (int layer = 0; layer < kLayers; ++layer) {
+      std::uint8_t* values = &values_[index(layer, y, 0)];
+      for (int x = 0; x < side_; ++x) {
+        const int here = kHere * (row[x + 1] >> layer & 1), near = kBeside * (beside[x] >> layer & 1);
+        values[x] = static_cast<std::uint8_t>(std::max<int>(values[x], std::max(here, near)));
+      }
     }
   }
 
@@ -139,7 +154,7 @@ std::vector<Cell> query_cells(const Planes& planes, const float* points, std::si
     }
     const int layer = layer_of(moved[2]);
     if (layer < 0 || layer >= kLayers) continue;
-    keys.push_back(key_of(layer, planes.cell(moved[1]), planes.cell(moved[0])));
+    keys.push_back(key_of(layer, planes.cell_of(moved[1]), planes.cell_of(moved[0])));
   }
   std::sort(keys.begin(), keys.end());
   keys.erase(std::unique(keys.begin(), keys.end()), keys.end());

@@ -10,8 +10,6 @@ namespace segloc {
 namespace {
 
 constexpr double kTile = 20.0;      // metres, about
-constexpr std::uint32_t kBlock = 32;  // points
-constexpr double kSlack = 1e-6;     // share of a tile by which rounding may move a point
 
 std::int64_t cells_of_tile(double radius) {
   return std::max<std::int64_t>(1, std::llround(kTile / (2.0 * radius)));
@@ -92,56 +90,39 @@ std::vector<bool> PointIndex::is_near(const std::vector<float>& places, double r
   return near;
 }
 
-// What the nearest and the farthest place of a block are decides for all in it: no point is rounded
-// to be nearer or farther than those.
-PointIndex::Part PointIndex::part_of(const Block& block, const Column& column) const {
+bool PointIndex::reaches(const Block& block, const Column& column) {
   const auto nearer = [&](double at, int axis) {
     return std::clamp<double>(at, block.low[axis], block.high[axis]);
   };
+  return column.holds(nearer(column.x, 0), nearer(column.y, 1), nearer(column.low, 2));
+}
+
+// What the nearest and the farthest place of a block are decides for all in it: no point is rounded
+// to be nearer or farther than those.
+std::size_t PointIndex::count_in(const Block& block, const Column& column) const {
+  if (!reaches(block, column)) return 0;
   const auto farther = [&](double at, int axis) {
     const double low = block.low[axis], high = block.high[axis];
     return std::abs(low - at) > std::abs(high - at) ? low : high;
   };
-  if (!column.holds(nearer(column.x, 0), nearer(column.y, 1), nearer(column.low, 2))) {
-    return {&block, 0};
-  }
   const double far_x = farther(column.x, 0), far_y = farther(column.y, 1);
   if (column.holds(far_x, far_y, block.low[2]) && column.holds(far_x, far_y, block.high[2])) {
-    return {&block, block.end - block.begin};
+    return block.end - block.begin;
   }
   std::size_t count = 0;
   for (std::uint32_t k = block.begin; k < block.end; ++k) {
     const PointGrid::Point p = grid_[k];
     count += column.holds(p[0], p[1], p[2]);
   }
-  return {&block, count};
+  return count;
 }
 
 std::vector<PointIndex::Part> PointIndex::parts(const Column& column) const {
   std::vector<Part> found;
-  const double x = column.x, y = column.y, radius = column.radius;
-  if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return found;
-  const double wide = radius + kSlack * tile_;
-  const std::int64_t first = tile_of(x - wide), last = tile_of(x + wide);
-  const std::int64_t bottom = tile_of(y - wide), top = tile_of(y + wide);
-  const auto next = [&](auto from, std::int64_t row) {
-    return std::lower_bound(
-        from, tiles_.end(), std::make_pair(row, first),
-        [](const Tile& t, const auto& at) { return std::make_pair(t.y, t.x) < at; });
-  };
-  // Tiles run fastest along x: each row of tiles is one range of the sorted ones. Rows without any
-  // are skipped.
-  for (auto tile = next(tiles_.begin(), bottom); tile != tiles_.end() && tile->y <= top;) {
-    if (tile->x < first || tile->x > last) {
-      tile = next(tile, tile->x < first ? tile->y : tile->y + 1);
-      continue;
-    }
-    for (std::size_t k = tile->first_block; k < tile->last_block; ++k) {
-      const Part part = part_of(blocks_[k], column);
-      if (part.count > 0) found.push_back(part);
-    }
-    ++tile;
-  }
+  each_block(column, [&](const Block& block) {
+    const std::size_t count = count_in(block, column);
+    if (count > 0) found.push_back({&block, count});
+  });
   return found;
 }
 

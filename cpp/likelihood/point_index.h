@@ -1,9 +1,12 @@
 // Fixed-radius nearest points in a map's cloud, for verification.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "frontend/point_grid.h"
@@ -49,6 +52,21 @@ class PointIndex {
     each(parts(column), column, 1, visit);
   }
 
+  static constexpr std::uint32_t kBlock = 32;
+  // Calls visit(xyz, count) for runs of up to kBlock points, of three arrays, which together are
+  // those within a horizontal distance and others beside them.
+  template <typename Visit>
+  void visit_about(double x, double y, double radius, Visit&& visit) const {
+    const Column column{x, y, radius};
+    const GridCells cells = grid_.cells();
+    each_block(column, [&](const Block& block) {
+      if (!reaches(block, column)) return;
+      const float* const xyz[3] = {cells.x + block.begin, cells.y + block.begin,
+                                   cells.z + block.begin};
+      visit(xyz, std::size_t{block.end - block.begin});
+    });
+  }
+
   // Which places, x, y, z each, have a point within a radius, no larger than that of the index.
   std::vector<bool> is_near(const std::vector<float>& places, double radius) const;
   // Whether there are any points around, at any height.
@@ -74,12 +92,40 @@ class PointIndex {
     bool is_whole() const { return count == block->end - block->begin; }
   };
 
+  static constexpr double kSlack = 1e-6;  // share of a tile by which rounding may move a point
+
   std::int64_t tile_of(double v) const { return floor_of(v / tile_); }
   void fill_tiles();
   void fill_blocks(Tile& tile, std::uint32_t begin, std::uint32_t end);
-  Part part_of(const Block& block, const Column& column) const;
+  // Whether some place in the bounds of a block is in a column; how many of its points are.
+  static bool reaches(const Block& block, const Column& column);
+  std::size_t count_in(const Block& block, const Column& column) const;
   // Those of which any do, in order.
   std::vector<Part> parts(const Column& column) const;
+  // Calls take(block) for those of the tiles that a column touches, in order.
+  template <typename Take>
+  void each_block(const Column& column, const Take& take) const {
+    const double x = column.x, y = column.y, radius = column.radius;
+    if (!(std::abs(x) + radius < 1e12 && std::abs(y) + radius < 1e12)) return;
+    const double wide = radius + kSlack * tile_;
+    const std::int64_t first = tile_of(x - wide), last = tile_of(x + wide);
+    const std::int64_t bottom = tile_of(y - wide), top = tile_of(y + wide);
+    const auto next = [&](auto from, std::int64_t row) {
+      return std::lower_bound(
+          from, tiles_.end(), std::make_pair(row, first),
+          [](const Tile& t, const auto& at) { return std::make_pair(t.y, t.x) < at; });
+    };
+    // Tiles run fastest along x: each row of tiles is one range of the sorted ones. Rows without
+    // any are skipped.
+    for (auto tile = next(tiles_.begin(), bottom); tile != tiles_.end() && tile->y <= top;) {
+      if (tile->x < first || tile->x > last) {
+        tile = next(tile, tile->x < first ? tile->y : tile->y + 1);
+        continue;
+      }
+      for (std::size_t k = tile->first_block; k < tile->last_block; ++k) take(blocks_[k]);
+      ++tile;
+    }
+  }
   // Calls take(point) for every step-th of the points in a column, in the grid's order.
   template <typename Take>
   void each(const std::vector<Part>& parts, const Column& column, std::size_t step,
