@@ -82,6 +82,24 @@ std::vector<float> moved_by(const double* T, const float* points, std::size_t co
   return moved;
 }
 
+// Newton's iteration for the polar decomposition: each squares what is left.
+std::array<double, 9> orthonormal(std::array<double, 9> R) {
+  for (int step = 0; step < 4; ++step) {
+    const auto dot = [&](int a, int b) {
+      return R[a] * R[b] + R[3 + a] * R[3 + b] + R[6 + a] * R[6 + b];
+    };
+    const double xx = dot(0, 0), yy = dot(1, 1), zz = dot(2, 2);
+    const double xy = dot(0, 1), xz = dot(0, 2), yz = dot(1, 2);
+    for (int r = 0; r < 9; r += 3) {
+      const double x = R[r], y = R[r + 1], z = R[r + 2];
+      R[r] = 1.5 * x - 0.5 * (x * xx + y * xy + z * xz);
+      R[r + 1] = 1.5 * y - 0.5 * (x * xy + y * yy + z * yz);
+      R[r + 2] = 1.5 * z - 0.5 * (x * xz + y * yz + z * zz);
+    }
+  }
+  return R;
+}
+
 void append_matrix(const Rigid& T, std::vector<double>& values) {
   for (std::size_t r = 0; r < 3; ++r) {
     values.insert(values.end(), {T.R[3 * r], T.R[3 * r + 1], T.R[3 * r + 2], T.t[r]});

@@ -21,6 +21,9 @@ struct Rigid {
 // Points, (count, 3), by a row-major 4 x 4 transform, in single precision.
 std::vector<float> moved_by(const double* T, const float* points, std::size_t count);
 
+// The nearest orthonormal matrix to one that is so but for a hundredth.
+std::array<double, 9> orthonormal(std::array<double, 9> R);
+
 // Adds the transform to `values` as a 4 x 4 matrix, row-major.
 void append_matrix(const Rigid& T, std::vector<double>& values);
 

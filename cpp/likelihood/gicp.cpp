@@ -280,8 +280,9 @@ void optimise(Problem& problem, int iterations, const GicpOptions& options, Gicp
   }
 }
 
-// Scales the sums over every `stride`-th point to those over all.
-void scale(Problem& problem, std::size_t stride, GicpResult& result) {
+// Makes the rotation orthonormal, and scales the sums over every `stride`-th point to those over all.
+void complete(Problem& problem, std::size_t stride, GicpResult& result) {
+  result.T.R = orthonormal(result.T.R);
   result.motion = problem.motion();
   for (double& h : result.H) h *= static_cast<double>(stride);
   for (double& m : result.motion) m *= static_cast<double>(stride);
@@ -298,7 +299,7 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
     Problem few(target, source, rough, threads);
     optimise(few, options.max_iterations, options, result);
     if (options.max_final == 0) {
-      scale(few, rough, result);
+      complete(few, rough, result);
       return result;
     }
   }
@@ -306,7 +307,7 @@ GicpResult align(const Surface& target, const Surface& source, const Rigid& star
   const std::size_t stride = std::max<std::size_t>(1, share);
   Problem most(target, source, stride, threads);
   optimise(most, rough > 1 ? options.max_final : options.max_iterations, options, result);
-  scale(most, stride, result);
+  complete(most, stride, result);
   return result;
 }
 

@@ -21,8 +21,8 @@ from .posterior import ScoredPose as ScoredPose
 from .posterior import log_odds as log_odds
 from .registration import ERRORS as ERRORS
 from .registration import Aligner as Aligner
+from .registration import Alignment as Alignment
 from .registration import ErrorModel as ErrorModel
-from .registration import Registered as Registered
 from .registration import Target as Target
 from .registration import thinned as thinned
 from .scorer import Likelihood as Likelihood

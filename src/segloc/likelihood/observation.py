@@ -26,7 +26,7 @@ from ..types import Float32, Float64, Int64, Pose
 from .config import VerificationConfig
 from .nearby import NearbySearch
 from .next_view import next_view
-from .registration import ERRORS, Aligner, Registered, Target, thinned
+from .registration import ERRORS, Aligner, Alignment, Target, thinned
 
 _STOREY_SAMPLE = 200
 """Points of a query in the search for other storeys."""
@@ -177,7 +177,7 @@ class QueryCloud:
 
     def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, config.overlap_sample)
-        self.aligned: dict[bytes, Registered | None] = {}
+        self.aligned: dict[bytes, Alignment | None] = {}
         self.rough: dict[bytes, float] = {}
         self._scene, self._config, self._aligner = scene, config, aligner
         self._image: _native.VisibilityCheck | None = None
@@ -334,11 +334,8 @@ class MapCloud:
 
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
-        T, found = self._from(T_map_local, query, known, roughly=True)
-        if found is None:
-            overlap, _ = self._target.overlap(query.sample, T, self._config.overlap_radius)
-        else:
-            overlap = found.overlap
+        T, _ = self._from(T_map_local, query, known, roughly=True)
+        overlap = self._target.overlap(query.sample, T, self._config.overlap_radius)
         return Aligned(self._absolute(T), overlap, self._seen(query, T))
 
     def measured(
@@ -349,13 +346,9 @@ class MapCloud:
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
         config = self._config
-        covariance: Float64 | None = None
         T, found = self._from(T_map_local, query, known, roughly=False)
-        if found is None:
-            overlap, rmse = self._target.overlap(query.sample, T, config.overlap_radius)
-        else:
-            covariance = ERRORS.widened(found.covariance)
-            overlap, rmse = found.overlap, found.rmse
+        covariance = None if found is None else ERRORS.widened(found.covariance)
+        overlap, rmse = self._target.overlap_rmse(query.sample, T, config.overlap_radius)
         codes = self._known.codes(query.sample, T, config.overlap_radius)
         on_surface, walls = self._walls(query, T)
         level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
@@ -425,10 +418,10 @@ class MapCloud:
 
     def _from(
         self, T_map_local: Pose, query: QueryCloud, known: Pose | None, *, roughly: bool
-    ) -> tuple[Pose, Registered | None]:
+    ) -> tuple[Pose, Alignment | None]:
         """Return the pose that is aligned, relative to the origin, and its alignment, if any."""
         T = self._relative(T_map_local)
-        found = self._registered(T, query, roughly)
+        found = self._alignment(T, query, roughly)
         if found is None:
             return T, None
         if known is not None:
@@ -437,18 +430,18 @@ class MapCloud:
                 return stay, None
         return found.T_target_source, found
 
-    def _registered(self, T: Pose, query: QueryCloud, roughly: bool) -> Registered | None:
+    def _alignment(self, T: Pose, query: QueryCloud, roughly: bool) -> Alignment | None:
         """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._config.refine:
             return None
         key = self._origin.tobytes() + T.tobytes() + bytes([roughly])
         if key not in query.aligned:
-            radius = self._config.overlap_radius
-            query.aligned[key] = self._aligner.register(
-                self._target, query, T, radius, roughly=roughly
-            )
+            clouds = self._target.surface, query.surface
+            query.aligned[key] = self._aligner.align(*clouds, T, roughly=roughly)
         found = query.aligned[key]
-        return None if found is None or found.shift_m > self._separation.metres else found
+        if found is None or found.shift_m(T) > self._separation.metres:
+            return None
+        return found
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from .. import _native, geometry
+from .. import _native
 from ..types import Float32, Float64, Pose
 
 MIN_POINTS = 20
@@ -82,7 +82,7 @@ many worlds 76 % and 84 %, 80 % and 97 %, so that these stay."""
 
 
 @dataclass(frozen=True)
-class Aligned:
+class Alignment:
     """Alignment of one cloud with another.
 
     Attributes
@@ -100,6 +100,10 @@ class Aligned:
     motion: Float64
     variance: float
 
+    def shift_m(self, T_target_source: Pose) -> float:
+        """Return the distance from a pose, as that where the alignment began."""
+        return math.dist(self.T_target_source[:3, 3], T_target_source[:3, 3])
+
     @cached_property
     def covariance(self) -> Float64:
         """Covariance of rotation [rad] and translation [m], (6, 6), in the source's frame.
@@ -114,25 +118,6 @@ class Aligned:
         kept = root @ (axes * np.sqrt(np.maximum(told - _TOLD_ALONG, 0.0) / self.variance))
         covariance = np.linalg.inv(kept @ kept.T + np.diag(reach**-2.0))
         return np.asarray((covariance + covariance.T) / 2, np.float64)
-
-
-@dataclass(frozen=True)
-class Registered(Aligned):
-    """Alignment of one cloud with another, with their overlap.
-
-    Attributes
-    ----------
-    overlap : float
-        Share of the source's sample that has a point of the target near it, in [0, 1].
-    rmse : float
-        Root mean square distance of those pairs [m].
-    shift_m : float
-        Shift of the source by the alignment.
-    """
-
-    overlap: float
-    rmse: float
-    shift_m: float
 
 
 class IcpConfig(Protocol):
@@ -150,23 +135,6 @@ class IcpConfig(Protocol):
     def icp_voxel(self) -> float: ...
     @property
     def icp_max_correspondence(self) -> float: ...
-
-
-class Source(Protocol):
-    """A source cloud of alignments.
-
-    Attributes
-    ----------
-    surface : Surface
-        From :meth:`Aligner.surface`.
-    sample : (N, 3) float32
-        Points of the overlap.
-    """
-
-    @property
-    def surface(self) -> _native.Surface: ...
-    @property
-    def sample(self) -> Float32: ...
 
 
 @dataclass(frozen=True)
@@ -187,8 +155,15 @@ class Target:
     index: _native.PointIndex
     unmapped_overlap: float = 0.0
 
-    def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> tuple[float, float]:
-        """Return the overlap of a sample (N, 3) within a radius, and the RMSE of its pairs [m]."""
+    def overlap(self, sample: Float32, T_target_source: Pose, radius: float) -> float:
+        """Return the share of a sample (N, 3) that has a point of the target within a radius."""
+        poses = T_target_source[None]
+        return float(self.index.overlap(sample, poses, radius, self.unmapped_overlap)[0])
+
+    def overlap_rmse(
+        self, sample: Float32, T_target_source: Pose, radius: float
+    ) -> tuple[float, float]:
+        """Return the same, and the RMSE of the pairs [m], which takes twice as long."""
         return self.index.overlap_rmse(sample, T_target_source, radius, self.unmapped_overlap)
 
 
@@ -226,7 +201,7 @@ class Aligner:
         T_target_source: Pose,
         *,
         roughly: bool = False,
-    ) -> Aligned | None:
+    ) -> Alignment | None:
         """Align from an initial guess; None if it is not finite, or the clouds overlap too little.
 
         ``roughly`` uses some of the source's points, in about a third of the time.
@@ -243,26 +218,7 @@ class Aligner:
         if min(inliers, len(target)) < MIN_POINTS or not np.isfinite(np.append(T, H)).all():
             return None
         variance = COVARIANCE_SCALE * 2.0 * error / degrees
-        return Aligned(geometry.orthonormal(T), H, motion, max(variance, _MIN_VARIANCE))
-
-    def register(
-        self,
-        target: Target,
-        source: Source,
-        T_target_source: Pose,
-        radius: float,
-        *,
-        roughly: bool = False,
-    ) -> Registered | None:
-        """Align from an initial guess and score the overlap; None as for `align`."""
-        aligned = self.align(target.surface, source.surface, T_target_source, roughly=roughly)
-        if aligned is None:
-            return None
-        T = aligned.T_target_source
-        moved = geometry.inverse(T_target_source) @ T
-        shift = float(np.linalg.norm(moved[:3, 3]))
-        measured = *target.overlap(source.sample, T, radius), shift
-        return Registered(T, aligned.curvature, aligned.motion, aligned.variance, *measured)
+        return Alignment(T, H, motion, max(variance, _MIN_VARIANCE))
 
 
 def thinned(points: Float32, count: int) -> Float32:

@@ -186,16 +186,18 @@ class SubmapRegistration:
         if min(len(there.surface), len(back.surface)) < _MIN_POINTS:
             return None
         config, radius = self._config, self._config.near_m
-        found = self._aligner.register(there.target, back, guess, radius)
+        found = self._aligner.align(there.surface, back.surface, guess)
         if found is None:
             return None
         T, shared = found.T_target_source, 0.0
         if min(there.count, back.count) >= _MIN_POINTS:
-            other, _ = back.target.overlap(there.sample, geometry.inverse(T), radius)
-            shared = max(found.overlap, other)
-        reason = ""
-        if found.shift_m > config.max_shift_m:
-            reason = f"ICP moved it by {found.shift_m:.1f} m (at most {config.max_shift_m:g} m)"
+            shared = max(
+                there.target.overlap(back.sample, T, radius),
+                back.target.overlap(there.sample, geometry.inverse(T), radius),
+            )
+        reason, shift_m = "", found.shift_m(guess)
+        if shift_m > config.max_shift_m:
+            reason = f"ICP moved it by {shift_m:.1f} m (at most {config.max_shift_m:g} m)"
         elif shared < config.min_shared:
             reason = f"too little overlap ({shared:.2f} < {config.min_shared:.2f})"
         covariance = found.covariance + config.least_covariance()

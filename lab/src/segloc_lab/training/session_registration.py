@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from segloc import geometry
-from segloc.likelihood import Aligner, Registered, Target, thinned
+from segloc.likelihood import Aligner, Alignment, Target, thinned
 from segloc.system import kernels
 from segloc.system.section import Section
 from segloc.types import Float32, Pose
@@ -79,14 +79,14 @@ class Registration:
         """Return the share of points with structure within a radius."""
         if len(source.sample) < _MIN_POINTS:
             return 0.0
-        return self._target.overlap(source.sample, T, radius)[0]
+        return self._target.overlap(source.sample, T, radius)
 
-    def _registered(self, T: Pose, source: _Source) -> Registered | None:
+    def _registered(self, T: Pose, source: _Source) -> Alignment | None:
         if min(len(self._target.surface), len(source.surface)) < _MIN_POINTS:
             return None
-        return self._aligner.register(self._target, source, T, self.config.near_m)
+        return self._aligner.align(self._target.surface, source.surface, T)
 
-    def _believed(self, before: Pose, found: Registered, source: _Source) -> bool:
+    def _believed(self, before: Pose, found: Alignment, source: _Source) -> bool:
         delta = geometry.inverse(before) @ found.T_target_source
         turn = math.degrees(geometry.rotation_angle(delta))
         if (
@@ -94,7 +94,7 @@ class Registration:
             or turn > self.config.max_turn_deg
         ):
             return False
-        met = found.overlap if len(source.sample) >= _MIN_POINTS else 0.0
+        met = self._met(found.T_target_source, source, self.config.near_m)
         earlier = self._met(before, source, self.config.near_m)
         return met >= self.config.min_shared and met >= earlier - 0.02
 
