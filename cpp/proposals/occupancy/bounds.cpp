@@ -62,15 +62,19 @@ std::vector<float> free_of(const PlanarView& view, int level, std::size_t most) 
 
 }  // namespace
 
-double angle(std::size_t k, const SearchLimits& limits) {
-  return 2.0 * kPi * double(k) / double(limits.yaws);
+double angle(double k, const SearchLimits& limits) {
+  return 2.0 * kPi * k / double(limits.yaws);
 }
 
-Steps::Steps(const SearchArea& area, const std::vector<float>& places, const SearchLimits& limits)
-    : size_(places.size() / 2), offsets_(places.size() * limits.yaws) {
+Steps::Steps(const SearchArea& area, const std::vector<float>& places, const SearchLimits& limits,
+             std::size_t turned)
+    : size_(places.size() / 2),
+      offsets_(places.size() * ((limits.yaws + turned - 1) / turned)) {
   auto* next = offsets_.data();
-  for (std::size_t k = 0; k < limits.yaws; ++k) {
-    const double c = std::cos(angle(k, limits)), s = std::sin(angle(k, limits));
+  for (std::size_t k = 0; k < limits.yaws; k += turned) {
+    const std::size_t last = std::min(k + turned, limits.yaws) - 1;
+    const double middle = angle(0.5 * double(k + last), limits);
+    const double c = std::cos(middle), s = std::sin(middle);
     for (std::size_t i = 0; i < places.size(); i += 2) {
       const double x = places[i], y = places[i + 1];
       *next++ = static_cast<std::int32_t>(std::floor((c * x - s * y) / area.map().cell()));
@@ -92,17 +96,20 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
       most_(ones(slices_.data(), view.m)),
       most_first_(ones(slices_.data(), first_)),
       columns_(area, spread(view.columns, view.m, 2, kOneOf), limits),
+      turned_(area, spread(view.columns, view.m, 2, kOneOf), limits, kTurned),
       all_free_(area, free_of(view, limits.leaf_level, view.f), limits) {
-  for (int level = 0; level < area.map().levels(); ++level) {
-    free_.emplace_back(area, free_of(view, level, kSomeFree), limits);
+  const int top = area.map().levels() - 1;
+  for (int level = 0; level <= top; ++level) {
+    const std::vector<float> places = free_of(view, level, kSomeFree);
+    free_.emplace_back(area, places, limits, level == top ? kTurned : 1);
   }
 }
 
-void Bounds::all(const std::vector<std::size_t>& runs, std::size_t yaw,
+void Bounds::all(const std::vector<std::size_t>& runs, std::size_t turn,
                  std::vector<std::uint16_t>& held, std::vector<std::uint16_t>& scores) const {
-  area_.score(runs, columns_.offsets(yaw), slices_.data(), slices_.size(), held);
+  area_.score(runs, turned_.offsets(turn), slices_.data(), slices_.size(), held);
   const Steps& free = free_.back();
-  area_.blocked(runs, free.offsets(yaw), free.size(), scores);
+  area_.blocked(runs, free.offsets(turn), free.size(), scores);
   const float each = float(most_) * kCost / float(std::max(free.size(), kFewestFree));
   for (std::size_t i = 0; i < scores.size(); ++i) {
     const float left = float(held[i]) - each * float(scores[i]);

@@ -13,7 +13,7 @@ namespace segloc {
 struct Branch {
   float score;
   std::uint32_t held;  // without what free places cost
-  std::uint32_t yaw;
+  std::uint32_t yaw;   // of the widest windows, a turn
   std::int32_t x, y;  // first cell of its window
 
   bool operator<(const Branch& other) const {  // the better one first
@@ -21,13 +21,21 @@ struct Branch {
   }
 };
 
-double angle(std::size_t k, const SearchLimits& limits);
+// The widest windows are scored at the middle of each turn, of some headings that follow one
+// another: what they hold differs little between these.
+constexpr std::size_t kTurned = 4;
+inline std::size_t turns(const SearchLimits& limits) {
+  return (limits.yaws + kTurned - 1) / kTurned;
+}
 
-// Places about the sensor at each heading, as steps from a cell: in cells, and of a flat level in
-// bytes, if the area has such.
+double angle(double k, const SearchLimits& limits);
+
+// Places about the sensor at each turn of `turned` headings, as steps from a cell: in cells, and of
+// a flat level in bytes, if the area has such.
 class Steps {
  public:
-  Steps(const SearchArea& area, const std::vector<float>& places, const SearchLimits& limits);
+  Steps(const SearchArea& area, const std::vector<float>& places, const SearchLimits& limits,
+        std::size_t turned = 1);
 
   std::size_t size() const { return size_; }
   const std::int32_t* offsets(std::size_t yaw) const { return offsets_.data() + 2 * size_ * yaw; }
@@ -46,9 +54,9 @@ class Bounds {
 
   // No score is higher.
   std::size_t most() const { return most_; }
-  // What the windows of some runs, of the highest level, hold at a heading, and the same less the
+  // What the windows of some runs, of the highest level, hold at a turn, and the same less the
   // cost.
-  void all(const std::vector<std::size_t>& runs, std::size_t yaw, std::vector<std::uint16_t>& held,
+  void all(const std::vector<std::size_t>& runs, std::size_t turn, std::vector<std::uint16_t>& held,
            std::vector<std::uint16_t>& scores) const;
   // Scores the four quarters of one window by some of what is seen, with the cost or without.
   void roughly(int level, Branch* quarters, bool costly) const;
@@ -70,7 +78,7 @@ class Bounds {
   std::vector<std::uint8_t> slices_;
   std::size_t first_;              // number of columns scored first, spread over all
   std::size_t most_, most_first_;  // slices of all columns, and of these
-  Steps columns_;
+  Steps columns_, turned_;   // the latter for the highest level
   std::vector<Steps> free_;  // some, of each level
   Steps all_free_;           // of the leaves
 };

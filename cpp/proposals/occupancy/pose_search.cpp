@@ -25,11 +25,11 @@ bool meets(const SearchLimits& limits, double cell, std::int32_t x, std::int32_t
   return std::hypot(beyond(limits.x, x), beyond(limits.y, y)) <= limits.radius;
 }
 
-// The widest windows that are looked at, and their scores at each heading.
+// The widest windows that are looked at, and their scores at each turn.
 class WidestWindows {
  public:
   WidestWindows(const SearchArea& area, const Bounds& bounds, const SearchLimits& limits)
-      : side_(1 << (area.map().levels() - 1)), held_(limits.yaws), score_(limits.yaws) {
+      : side_(1 << (area.map().levels() - 1)), held_(turns(limits)), score_(turns(limits)) {
     std::vector<std::size_t> runs;  // that hold any
     area.visit([&](std::size_t run, std::size_t j, std::int32_t x, std::int32_t y) {
       if (meets(limits, area.map().cell(), x * side_, y * side_, side_)) {
@@ -37,15 +37,15 @@ class WidestWindows {
         windows_.push_back({(runs.size() - 1) * SearchArea::kRun + j, x * side_, y * side_});
       }
     });
-    for (std::size_t k = 0; k < limits.yaws; ++k) bounds.all(runs, k, held_[k], score_[k]);
+    for (std::size_t k = 0; k < held_.size(); ++k) bounds.all(runs, k, held_[k], score_[k]);
   }
 
   // The best, by what they hold alone or less the cost of free places.
   std::vector<Branch> best(bool costly, std::size_t most, std::size_t width) const {
     const auto& scores = costly ? score_ : held_;
     std::vector<std::size_t> histogram(most + 1, 0);
-    for (const auto& at_yaw : scores) {
-      for (const Window& window : windows_) ++histogram[at_yaw[window.place]];
+    for (const auto& at_turn : scores) {
+      for (const Window& window : windows_) ++histogram[at_turn[window.place]];
     }
     std::size_t least = most, better = 0;
     while (least > 0 && better + histogram[least] <= width) better += histogram[least--];
@@ -85,6 +85,20 @@ void by_place(std::vector<Branch>& branches) {
   const auto place = [](const Branch& b) { return std::make_tuple(b.y >> 5, b.x >> 5, b.yaw); };
   std::sort(branches.begin(), branches.end(),
             [&](const Branch& a, const Branch& b) { return place(a) < place(b); });
+}
+
+// Each of the widest windows at all headings of its turn.
+std::vector<Branch> at_headings(const std::vector<Branch>& branches, const SearchLimits& limits) {
+  std::vector<Branch> found;
+  found.reserve(kTurned * branches.size());
+  for (Branch b : branches) {
+    const std::size_t first = kTurned * b.yaw, last = std::min(first + kTurned, limits.yaws);
+    for (std::size_t k = first; k < last; ++k) {
+      b.yaw = static_cast<std::uint32_t>(k);
+      found.push_back(b);
+    }
+  }
+  return found;
 }
 
 // The four quarters of each window, without scores.
@@ -148,8 +162,8 @@ void add_apart(std::vector<Branch>& leaves, const Bounds& bounds, double cell, s
 // The windows divided down to leaves.
 std::vector<Branch> leaves(std::vector<Branch> branches, int top, const Bounds& bounds, bool costly,
                            std::size_t width, const SearchLimits& limits) {
+  branches = at_headings(branches, limits);
   for (int level = top - 1; level >= limits.leaf_level; --level) {
-    keep_best(branches, width);
     by_place(branches);
     std::vector<Branch> parts = divided(branches, level);
     for (std::size_t k = 0; k < parts.size(); k += 4) bounds.roughly(level, &parts[k], costly);
@@ -157,6 +171,7 @@ std::vector<Branch> leaves(std::vector<Branch> branches, int top, const Bounds& 
     keep_best(parts, last ? std::max(width / kLastOf, kOfPoses * limits.count) : kOfParts * width);
     by_place(parts);
     for (Branch& part : parts) bounds.finish(level, part, costly);
+    if (!last) keep_best(parts, width);
     branches = std::move(parts);
   }
   return branches;

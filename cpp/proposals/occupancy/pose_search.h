@@ -49,7 +49,8 @@ class SearchArea {
   // the columns the map holds within the window, less what free places cost that are blocked, seen
   // from the middle of the window. At each level only such count as are clear to the edges of its
   // windows. Without any, where `width` is eight times the branches of a level that could still
-  // hold one of the best, none is overlooked (up to the step of the heading).
+  // hold one of the best, none is overlooked that its widest window holds at the middle of its
+  // turn, too.
   std::vector<PlanarPose> search(const PlanarView& view, const SearchLimits& limits) const;
 
   // The most that the columns, at these offsets in cells, can reach in each window of some runs.
