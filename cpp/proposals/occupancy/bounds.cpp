@@ -13,6 +13,8 @@ constexpr double kPi = 3.14159265358979323846;
 // Every how many columns is scored first, and how many free cells. Fewer free cells than
 // `kFewestFree` count as that number.
 constexpr std::size_t kOneOf = 4, kSomeFree = 64, kFewestFree = 64;
+// The widest windows are scored by at least so many columns, in whole rounds over them.
+constexpr std::size_t kFewestWide = 128;
 
 // Cost of all free cells being blocked, relative to the largest possible score. Set by hand.
 constexpr float kCost = 2.0f;
@@ -44,6 +46,17 @@ std::vector<T> spread(const T* rows, std::size_t n, std::size_t wide, std::size_
     }
   }
   return ordered;
+}
+
+// How many of m columns, so ordered, the widest windows are scored by.
+std::size_t wide_of(std::size_t m) {
+  const std::size_t round = std::max<std::size_t>(1, (m + kOneOf - 1) / kOneOf);
+  return std::min(m, (kFewestWide + round - 1) / round * round);
+}
+
+std::vector<float> some_of(std::vector<float> places, std::size_t count) {
+  places.resize(2 * count);
+  return places;
 }
 
 // At most `most` free cells that are clear to the edges of a level's windows.
@@ -93,10 +106,12 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
       leaf_level_(limits.leaf_level),
       slices_(spread(view.slices, view.m, 1, kOneOf)),
       first_((view.m + kOneOf - 1) / kOneOf),
+      wide_(wide_of(view.m)),
       most_(ones(slices_.data(), view.m)),
       most_first_(ones(slices_.data(), first_)),
+      most_wide_(ones(slices_.data(), wide_)),
       columns_(area, spread(view.columns, view.m, 2, kOneOf), limits),
-      turned_(area, spread(view.columns, view.m, 2, kOneOf), limits, kTurned),
+      turned_(area, some_of(spread(view.columns, view.m, 2, kOneOf), wide_), limits, kTurned),
       all_free_(area, free_of(view, limits.leaf_level, view.f), limits) {
   const int top = area.map().levels() - 1;
   for (int level = 0; level <= top; ++level) {
@@ -107,10 +122,10 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
 
 void Bounds::all(const std::vector<std::size_t>& runs, std::size_t turn,
                  std::vector<std::uint16_t>& held, std::vector<std::uint16_t>& scores) const {
-  area_.score(runs, turned_.offsets(turn), slices_.data(), slices_.size(), held);
+  area_.score(runs, turned_.offsets(turn), slices_.data(), wide_, held);
   const Steps& free = free_.back();
   area_.blocked(runs, free.offsets(turn), free.size(), scores);
-  const float each = float(most_) * kCost / float(std::max(free.size(), kFewestFree));
+  const float each = float(most_wide_) * kCost / float(std::max(free.size(), kFewestFree));
   for (std::size_t i = 0; i < scores.size(); ++i) {
     const float left = float(held[i]) - each * float(scores[i]);
     scores[i] = static_cast<std::uint16_t>(std::max(0.0f, left));

@@ -54,8 +54,8 @@ class Bounds {
 
   // No score is higher.
   std::size_t most() const { return most_; }
-  // What the windows of some runs, of the highest level, hold at a turn, and the same less the
-  // cost.
+  // What the windows of some runs, of the highest level, hold of some columns at a turn, and the
+  // same less the cost.
   void all(const std::vector<std::size_t>& runs, std::size_t turn, std::vector<std::uint16_t>& held,
            std::vector<std::uint16_t>& scores) const;
   // Scores the four quarters of one window by some of what is seen, with the cost or without.
@@ -76,8 +76,8 @@ class Bounds {
   const SearchArea& area_;
   int leaf_level_;
   std::vector<std::uint8_t> slices_;
-  std::size_t first_;              // number of columns scored first, spread over all
-  std::size_t most_, most_first_;  // slices of all columns, and of these
+  std::size_t first_, wide_;  // columns scored first, spread over all, and in the widest windows
+  std::size_t most_, most_first_, most_wide_;  // slices of all columns, and of these
   Steps columns_, turned_;   // the latter for the highest level
   std::vector<Steps> free_;  // some, of each level
   Steps all_free_;           // of the leaves
