@@ -56,7 +56,7 @@ def test_stages_that_compare_clouds_keep_to_the_prior(plaza: Plaza, twice: Segme
     localizer = Localizer(twice)
     query = localizer.describe(plaza.scan(TRUE, seed=77))
     for near in (Prior((3.0, -2.0), 25.0), Prior(AWAY[:2] + (3.0, -2.0), 25.0)):
-        found = occupancy(localizer).candidates(query.scene, near)
+        found = occupancy(localizer).propose(query, near)
         assert found and all(near.holds(c.T_map_local) for c in found)
         fits = np.linalg.norm(found[0].T_map_local[:2, 3] - np.asarray(near.position))
         assert fits < 2.0
@@ -65,7 +65,7 @@ def test_stages_that_compare_clouds_keep_to_the_prior(plaza: Plaza, twice: Segme
         reach = near.radius_m + localizer.config.local_cloud.radius_m
         rows = twice.centroids[searched.matches.map]
         assert (near.distances(rows) <= reach).all()
-    everywhere = occupancy(localizer).candidates(query.scene)
+    everywhere = occupancy(localizer).propose(query)
     places = np.stack([c.T_map_local[:3, 3] for c in everywhere])
     assert (places[:, 0] < 150).any() and (places[:, 0] > 150).any()
 

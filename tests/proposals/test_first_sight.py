@@ -12,7 +12,7 @@ from segloc_lab.padding import beside_its_mirror, mirrored, remade
 from segloc import Config, Localizer, Prior, Scan, SegmentMap, geometry
 from segloc.proposals import first_sight
 from segloc.proposals.first_sight import FirstSight, FirstSightConfig
-from segloc.proposals.occupancy import Bytes
+from segloc.proposals.view import Bytes
 from segloc.types import Candidate, Float64, Pose
 
 AT = (-8.0, 1.0, 1.7)

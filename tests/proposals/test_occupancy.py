@@ -11,22 +11,22 @@ from samples.plaza import Plaza
 from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, free_cells, storeys
+from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, storeys
+from segloc.proposals.view import free_cells
 from segloc.types import Pose
 
 
 def test_free_cells_are_ground_with_nothing_beside_it() -> None:
-    config = OccupancyConfig(cell=0.5, range_m=20.0)
     across = np.arange(-60, 60) * 0.25 + 0.1
     ground = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
     ground = np.column_stack([ground, np.zeros(len(ground))]).astype(np.float32)
     standing = np.array([[0, 0], [4, 9], [-20, 7]])
-    cells, clearance = free_cells(ground, standing, config)
+    cells, clearance = free_cells(ground, standing, 0.5, 19.5)
     assert 0 < len(cells) <= 256 and (np.diff(clearance.astype(int)) <= 0).all()
     gap = np.abs(cells[:, None] - standing).max(axis=2).min(axis=1)
     np.testing.assert_array_equal(clearance, gap - 1)
     assert clearance.min() >= 1
-    assert [len(part) for part in free_cells(ground[:0], standing, config)] == [0, 0]
+    assert [len(part) for part in free_cells(ground[:0], standing, 0.5, 19.5)] == [0, 0]
 
 
 def near(T: Pose, truth: Pose, metres: float = 2.0, degrees: float = 10.0) -> bool:
@@ -40,8 +40,8 @@ def test_the_best_candidate_is_near_the_truth(
     plaza: Plaza, localizer: Localizer, yaw: float
 ) -> None:
     T = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7))
-    scene = localizer.describe(plaza.scan(T, seed=5)).scene
-    first, again = (occupancy(localizer).candidates(scene) for _ in range(2))
+    scan = plaza.scan(T, seed=5)
+    first, again = (occupancy(localizer).propose(localizer.describe(scan)) for _ in range(2))
     best = first[0]
     assert near(best.T_map_local, T) and abs(best.T_map_local[2, 3] - 1.7) < 0.5
     assert best.inliers == 0 and best.fit is not None and 0.5 < best.fit <= 1.0
@@ -54,12 +54,12 @@ def test_places_far_from_the_path_are_searched_where_the_map_is_small(
     plaza: Plaza, localizer: Localizer
 ) -> None:
     T = geometry.yaw_transform(1.0, (3.0, 33.0, 1.7))
-    scene, prior_map = localizer.describe(plaza.scan(T, seed=5)).scene, localizer.prior_map
+    query, prior_map = localizer.describe(plaza.scan(T, seed=5)), localizer.prior_map
     found = {}
     for name, work in (("small", 1_200_000), ("large", 20_000)):
         config = OccupancyConfig(work=work)
         proposer = OccupancyProposer(prior_map.voxel_cloud, prior_map.trajectory, config)
-        found[name] = proposer.candidates(scene)
+        found[name] = proposer.propose(query)
     assert near(found["small"][0].T_map_local, T)
     off = np.array([c.T_map_local[:2, 3] for c in found["large"]])
     assert len(off) and off[:, 1].max() < 4.0 + 20.0 + 6.0
@@ -88,8 +88,7 @@ def test_little_to_see_gives_no_candidate(localizer: Localizer) -> None:
     rng = np.random.default_rng(0)
     floor = (rng.uniform(-20, 20, (4000, 3)) * [1, 1, 0] - [0, 0, 1.7]).astype(np.float32)
     for points in (np.empty((0, 3), np.float32), np.zeros((1, 3), np.float32), floor):
-        scene = localizer.describe(Scan(points)).scene
-        assert occupancy(localizer).candidates(scene) == []
+        assert occupancy(localizer).propose(localizer.describe(Scan(points))) == []
     empty = SegmentMap.empty("geo", localizer.prior_map.fingerprint, localizer.prior_map.dim)
     assert not Localizer(empty, Config.preset("geo")).localize(Scan(floor)).localized
 

@@ -20,18 +20,9 @@ from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.section import Section
 from ..types import Candidate, Float32, Float64
-from .occupancy import (
-    HEIGHTS_M,
-    Bytes,
-    Ground,
-    OccupancyConfig,
-    evenly,
-    ground_of,
-    is_storeyed,
-    occupied_of,
-    slices_of,
-)
+from .occupancy import Ground, OccupancyConfig, ground_of, is_storeyed
 from .proposer import Query
+from .view import HEIGHTS_M, Bytes, evenly, slices_of
 
 _SECTORS, _FREQUENCIES = 64, 16
 """Directions of a polar image, and its frequencies that are compared."""
@@ -121,11 +112,11 @@ class FirstSight:
         places = self._prepared()
         if places is None:
             return []
-        below, centres, slices = occupied_of(query.scene, self._occupancy, self._segmentation)
-        best, turn, fit = places.most_like(centres, slices)
+        view = query.view(self._occupancy.cell, self._occupancy.range_m, self._segmentation)
+        best, turn, fit = places.most_like(view.columns, view.slices)
         if fit < self.config.fit or places.likeness(best) > self.config.alike:
             return []
-        T = places.pose(best, turn, below)
+        T = places.pose(best, turn, view.below)
         return [Candidate(T, 0, fit)] if prior is None or prior.holds(T) else []
 
     def _looks_around(self, points: Float32) -> bool:

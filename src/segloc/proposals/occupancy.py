@@ -10,23 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import distance_transform_cdt
 from scipy.spatial import cKDTree
 
 from .. import _native, geometry
-from ..frontend.segmentation import Segmentation, SegmentationConfig, heights_above_ground
+from ..frontend.segmentation import SegmentationConfig, heights_above_ground
 from ..geometry import cells_of, distinct, keys_of
 from ..map.voxel_cloud import VoxelCloud
 from ..prior import Prior
 from ..system.section import Section
 from ..types import Bools, Candidate, Float32, Float64, Int64
 from .proposer import Query
+from .view import HEIGHTS_M, View, evenly, plausible_ground, slices_of
 
 EXTENTS = ((4, 2), (4, 1), (5, 1), (6, 1))
 """Levels of windows, of which the widest are 4, 8 or 16 m with cells of 0.5 m, and the factor of
@@ -38,14 +37,7 @@ MIN_OCCUPIED = 20
 SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Separation of candidates: nearer ones are refined to the same pose."""
 
-HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
-"""Lower edge of each slice above ground; the last slice is open. Set by hand."""
-FREE_RADIUS_M, MAX_FREE = 30.0, 256
-"""Radius of a query's free cells, and their largest number."""
-_NEAREST_TO_SENSOR = 16  # ground points
-
 _GROUND_CELL_M, _GROUND_NEIGHBOURS = 4.0, 4  # cells of the map's ground
-_MAX_FLOOR_GAP_M, _MAX_FLOOR_SLOPE = 0.5, 0.15  # from the floor below the trajectory
 _FLOOR_RADIUS_M, _FLOOR_BINS, _FLOOR_COLUMN_M = 5.0, 40, 0.5  # of the floor's histogram; bins 0.1 m
 
 _STOREY_CELL_M, _MIN_STOREY_HEIGHT_M = 4.0, 2.0  # a cell passed on two storeys
@@ -57,10 +49,6 @@ _DROP_RADIUS_M, _DROP_STEP_M, _DROP_BINS = (
     40,
 )  # of the histogram of heights above the floor
 _STOREY_MARGIN_M = 0.1  # below a floor
-
-_HERE = np.eye(4)
-
-Bytes = NDArray[np.uint8]
 
 
 class OccupancyConfig(Section):
@@ -130,19 +118,10 @@ class OccupancyProposer:
     name = "occupancy"
 
     def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
-        """Propose poses by occupied and free cells."""
-        return self.candidates(query.scene, prior)
-
-    def candidates(self, scene: Segmentation, near: Prior | None = None) -> list[Candidate]:
-        """Return candidate poses T_map_local with ``fit``, best first; none for sparse queries.
-
-        Parameters
-        ----------
-        scene : Segmentation
-        near : Prior, optional
-            Restricts the search.
-        """
-        return self.propose_in_view(view_of(scene, self.config, self._segmentation), near)
+        """Propose poses by occupied and free cells, best first; none for sparse queries."""
+        config = self.config
+        view = query.view(config.cell, config.range_m, self._segmentation)
+        return self.propose_in_view(view, prior)
 
     def propose_in_view(
         self, view: View, near: Prior | None = None, share: float = 1.0
@@ -239,11 +218,12 @@ class _OccupancyMap:
         most = min(config.columns, max(1, int(share * config.work) // self.windows))
         chosen = evenly(len(columns), most)
         columns, slices = columns[chosen], slices[chosen]
+        free, clearance = view.free
         poses, scores = self._native.search(
             columns,
             slices,
-            view.free,
-            view.clearance,
+            free,
+            clearance,
             yaws=config.yaws,
             leaf_level=1,
             width=max(1, int(share * config.width)),
@@ -359,115 +339,6 @@ def _levels(heights: NDArray[np.float64]) -> Float64:
     return np.sort(np.array(levels))
 
 
-@dataclass(frozen=True)
-class View:
-    """Occupancy of a query around its sensor.
-
-    Attributes
-    ----------
-    columns : (M, 2) float32
-        Centres of occupied cells [m].
-    slices : (M,) uint8
-        Occupied height slices of each, as bits.
-    free : (F, 2) float32
-        Centres of cells with ground alone, the clearest first [m].
-    clearance : (F,) uint8
-        Number of cells around each without an occupied one.
-    below : float
-        Height of the ground below the sensor [m].
-    """
-
-    columns: Float32
-    slices: Bytes
-    free: Float32
-    clearance: Bytes
-    below: float
-
-
-def view_of(scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig) -> View:
-    """Compute the occupancy of a segmented local cloud."""
-    below, columns, slices = occupied_of(scene, config, segmentation)
-    free, clearance = free_cells(scene.ground, cells_of(columns, config.cell), config)
-    return View(columns, slices, _centres(free, config), clearance, below)
-
-
-def occupied_of(
-    scene: Segmentation, config: OccupancyConfig, segmentation: SegmentationConfig
-) -> tuple[float, Float32, Bytes]:
-    """Return the height of the ground below a sensor, the occupied cells around it, their slices.
-
-    As ``below``, ``columns`` and ``slices`` of a :class:`View`.
-    """
-    near = _native.moved_crop(scene.surface, _HERE, config.range_m)
-    surface = _native.voxel_grid(near, config.cell)
-    distance = np.hypot(surface[:, 0], surface[:, 1])
-    around = np.argsort(np.hypot(scene.ground[:, 0], scene.ground[:, 1]), kind="stable")
-    floor = scene.ground[around[:_NEAREST_TO_SENSOR], 2]
-    below = float(np.median(floor)) if len(floor) else 0.0
-    ground = surface[:, 2] - heights_above_ground(surface, segmentation)
-    if len(floor):
-        ground = plausible_ground(ground, np.full(len(surface), below), distance)
-    heights = surface[:, 2] - ground
-    above = (heights > HEIGHTS_M[0]) & (distance < config.range_m - config.cell)
-    cells = cells_of(surface[above, :2], config.cell)
-    _, first, which = np.unique(keys_of(cells), return_index=True, return_inverse=True)
-    cells, slices = cells[first], np.zeros(len(first), np.uint8)
-    np.bitwise_or.at(slices, which, slices_of(heights[above]))
-    return below, _centres(cells, config), slices
-
-
-def free_cells(
-    ground: Float32, occupied: Int64, config: OccupancyConfig
-) -> tuple[Int64, NDArray[np.uint8]]:
-    """Return the cells of ground that are not occupied, nor beside occupied ones, clearest first.
-
-    Parameters
-    ----------
-    ground : (N, 3) float32
-    occupied : (M, 2) int64
-        Occupied cells.
-    config : OccupancyConfig
-
-    Returns
-    -------
-    (F, 2) int64
-    (F,) uint8
-        Number of cells around each without an occupied one.
-    """
-    within = config.range_m - config.cell
-    near = ground[np.hypot(ground[:, 0], ground[:, 1]) < min(FREE_RADIUS_M, within), :2]
-    cells = distinct(cells_of(near, config.cell))
-    if not len(cells):
-        return cells, np.empty(0, np.uint8)
-    reach = int(np.ceil(within / config.cell)) + 1
-    empty = np.ones((2 * reach + 1, 2 * reach + 1), bool)
-    empty[tuple((occupied + reach).T)] = False
-    clearance = distance_transform_cdt(empty)[tuple((cells + reach).T)] - 1
-    free = clearance > 0
-    cells, clearance = cells[free], clearance[free]
-    clearest = np.argsort(-clearance, kind="stable")
-    chosen = clearest[evenly(len(cells), MAX_FREE)]
-    return cells[chosen], np.minimum(clearance[chosen], 255).astype(np.uint8)
-
-
-def _centres(cells: Int64, config: OccupancyConfig) -> Float32:
-    centres: Float32 = ((cells + 0.5) * config.cell).astype(np.float32)
-    return centres
-
-
-def evenly(count: int, most: int) -> Int64:
-    """Return at most ``most`` of ``count`` rows, evenly spread, (min(count, most),)."""
-    kept = min(count, most)
-    chosen: Int64 = np.arange(kept) * count // max(kept, 1)
-    return chosen
-
-
-def slices_of(heights: Float32) -> Bytes:
-    """Return the slice of each point as a bit, (N,) uint8."""
-    slices: Bytes = (1 << (np.searchsorted(HEIGHTS_M, heights) - 1)).astype(np.uint8)
-    return slices
-
-
 def ground_of(
     cloud: Float32, path: Float64, segmentation: SegmentationConfig
 ) -> tuple[Ground, Float32]:
@@ -515,14 +386,6 @@ def _sensor_height(cloud: Float32, path: Float64) -> float:
     drop = path[station[lowest], 2] - cloud[lowest, 2]
     counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
     return float(edges[counts.argmax()] + 0.05)
-
-
-def plausible_ground(
-    ground: NDArray[Any], floor: NDArray[Any], distance: NDArray[Any]
-) -> NDArray[np.floating[Any]]:
-    """Return the ground where it is near the floor, and the floor elsewhere."""
-    near = np.abs(ground - floor) < _MAX_FLOOR_GAP_M + _MAX_FLOOR_SLOPE * distance
-    return np.where(near, ground, floor)
 
 
 def nearest_of(

@@ -7,12 +7,13 @@ from functools import cached_property
 from typing import Protocol
 
 from ..errors import ConfigError
-from ..frontend.segmentation import Segmentation
+from ..frontend.segmentation import Segmentation, SegmentationConfig
 from ..map.config import BuildConfig
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.plugins import plugins
 from ..types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
+from .view import View
 
 
 class Query:
@@ -33,11 +34,19 @@ class Query:
         descriptors: Descriptors | Callable[[], Descriptors],
     ) -> None:
         self.cloud, self.scene, self._described = cloud, scene, descriptors
+        self._views: dict[tuple[float, float, SegmentationConfig], View] = {}
 
     @cached_property
     def descriptors(self) -> Descriptors:
         """Descriptors of the segments; computed once."""
         return self._described() if callable(self._described) else self._described
+
+    def view(self, cell_m: float, range_m: float, segmentation: SegmentationConfig) -> View:
+        """Return the occupancy around the sensor, as a :class:`View`; computed once."""
+        key = cell_m, range_m, segmentation
+        if key not in self._views:
+            self._views[key] = View(self.scene, *key)
+        return self._views[key]
 
 
 class Proposer(Protocol):

@@ -18,7 +18,7 @@ from ..localization import NextView
 from ..localizer import cloud_of
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..proposals.occupancy import OccupancyProposer, view_of
+from ..proposals.occupancy import OccupancyProposer
 from ..proposals.proposer import Query
 from ..types import Bools, Candidate, Float64, Pose
 from .index import Tile, TileIndex
@@ -195,7 +195,7 @@ class TiledOccupancy:
     def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
         """Propose poses, best first; those of a tile in its own square, or beside all."""
         config = self._pieces.config
-        view = view_of(query.scene, config.occupancy, config.segmentation)
+        view = query.view(config.occupancy.cell, config.occupancy.range_m, config.segmentation)
         parts = [(tile, self._pieces.occupancy(tile)) for tile in self._tiles]
         windows = max(1, sum(part.windows for _, part in parts))
         found, most = list[Candidate](), 0
