@@ -6,7 +6,9 @@ import dataclasses
 import json
 import pickle
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -260,15 +262,29 @@ def test_a_faulty_store_is_asked_twice_and_then_named(
         assert len(tiles.tile(first)) == first.segments  # once it answers
 
 
-def test_what_was_used_last_is_kept_within_its_bytes(cut: Path) -> None:
-    recent = tiled_map.Recent(100)
+def test_what_was_used_last_or_takes_long_is_kept_within_its_bytes(cut: Path) -> None:
     made: list[int] = []
 
-    def make(k: int) -> int:
-        return recent.get(k, lambda: made.append(k) or k, lambda _: 40)
+    def kept_of(seconds: dict[int, float], keys: Sequence[int]) -> tiled_map.Recent:
+        now = 0.0
 
-    assert [make(k) for k in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
+        def make(key: int) -> int:
+            nonlocal now
+            made.append(key)
+            now += seconds.get(key, 1.0)
+            return key
+
+        made.clear()
+        recent = tiled_map.Recent(100, lambda: now)
+        assert [recent.get(k, partial(make, k), lambda _: 40) for k in keys] == list(keys)
+        return recent
+
+    recent = kept_of({}, (1, 2, 1, 3, 2, 1))
     assert made == [1, 2, 3, 2, 1] and recent.bytes == 80  # 2 went for 3, 1 for 2, and 3 for 1
+    kept_of({1: 3.5}, (1, 2, 3, 1))
+    assert made == [1, 2, 3]  # 2 went for 3, though 1 was used before
+    kept_of({1: 3.5}, (1, 2, 3, 2, 3, 2, 1))
+    assert made == [1, 2, 3, 2, 3, 2, 1]  # but it is not kept for ever
     tiles = TiledMap(cut, memory_bytes=1)
     for tile in tiles.index.tiles:
         assert tiles.tile(tile) is tiles.tile(tile)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import OrderedDict
+import time
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +16,7 @@ from typing import Any, TypeVar
 from ..errors import MapFormatError, MapMismatch
 from ..map.coding import Stored
 from ..map.segment_map import SegmentMap, concatenate_maps, part_where, with_parts
+from ..system.stage_times import Clock
 from ..types import Float32
 from .cut import owned_rows
 from .index import INDEX, MAX_INDEX_BYTES, Tile, TileFile, TileIndex
@@ -22,7 +24,7 @@ from .store import Folder, Reader, store_of
 
 CACHE_BYTES = 1 << 30
 TIMEOUT_S = 30.0
-MEMORY_BYTES = 1 << 28
+MEMORY_BYTES = 1 << 29
 
 Value = TypeVar("Value")
 
@@ -154,17 +156,22 @@ class TiledMap:
 
 
 class Recent:
-    """Thread-safe cache that drops the least recently used.
+    """Thread-safe cache that drops what takes least time to make again, by its size and last use.
+
+    GreedyDual-Size (P. Cao, S. Irani, "Cost-Aware WWW Proxy Caching Algorithms", USITS 1997): each
+    entry is worth its seconds a byte, and as much more as what was dropped before its last use.
 
     Parameters
     ----------
     most_bytes : int
         Maximum size, apart from the latest entry.
+    clock : callable
+        Clock of the time that entries take; returns seconds.
     """
 
-    def __init__(self, most_bytes: int) -> None:
-        self._most_bytes = most_bytes
-        self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+    def __init__(self, most_bytes: int, clock: Clock = time.perf_counter) -> None:
+        self._most_bytes, self._clock, self._floor = most_bytes, clock, 0.0
+        self._kept: dict[Hashable, _Kept] = {}
         self._lock = Lock()
 
     def __len__(self) -> int:
@@ -174,23 +181,38 @@ class Recent:
     def bytes(self) -> int:
         """Total size of the entries."""
         with self._lock:
-            return sum(size for _, size in self._kept.values())
+            return sum(kept.size for kept in self._kept.values())
 
     def get(self, key: Hashable, make: Callable[[], Value], size: Callable[[Value], int]) -> Value:
         """Return the entry of a key, or create it."""
         with self._lock:
             if key in self._kept:
-                self._kept.move_to_end(key)
-                found: Value = self._kept[key][0]
+                kept = self._kept[key] = self._kept.pop(key)  # of like worth, the latest goes last
+                kept.worth = self._floor + kept.seconds / kept.size
+                found: Value = kept.value
                 return found
+        start = self._clock()
         made = make()
+        seconds, taken = self._clock() - start, max(1, size(made))
         with self._lock:
-            self._kept[key] = made, size(made)
-            self._kept.move_to_end(key)
-            excess = sum(size for _, size in self._kept.values()) - self._most_bytes
+            self._kept[key] = latest = _Kept(made, taken, seconds, self._floor + seconds / taken)
+            excess = sum(kept.size for kept in self._kept.values()) - self._most_bytes
             while excess > 0 and len(self._kept) > 1:
-                excess -= self._kept.popitem(last=False)[1][1]
+                others = (other for other, kept in self._kept.items() if kept is not latest)
+                least = min(others, key=lambda other: self._kept[other].worth)
+                dropped = self._kept.pop(least)
+                self._floor, excess = dropped.worth, excess - dropped.size
         return made
+
+
+@dataclass
+class _Kept:
+    """An entry of a cache, with its size in bytes and the time that it took."""
+
+    value: Any
+    size: int
+    seconds: float
+    worth: float
 
 
 class _Later(Stored):
