@@ -195,13 +195,12 @@ class Recent:
         made = make()
         seconds, taken = self._clock() - start, max(1, size(made))
         with self._lock:
-            self._kept[key] = latest = _Kept(made, taken, seconds, self._floor + seconds / taken)
-            excess = sum(kept.size for kept in self._kept.values()) - self._most_bytes
-            while excess > 0 and len(self._kept) > 1:
-                others = (other for other, kept in self._kept.items() if kept is not latest)
-                least = min(others, key=lambda other: self._kept[other].worth)
-                dropped = self._kept.pop(least)
+            self._kept.pop(key, None)  # another thread may have made it, too
+            excess = sum(kept.size for kept in self._kept.values()) + taken - self._most_bytes
+            while excess > 0 and self._kept:
+                dropped = self._kept.pop(min(self._kept, key=lambda k: self._kept[k].worth))
                 self._floor, excess = dropped.worth, excess - dropped.size
+            self._kept[key] = _Kept(made, taken, seconds, self._floor + seconds / taken)
         return made
 
 
