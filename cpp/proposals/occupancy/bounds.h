@@ -11,12 +11,12 @@
 namespace segloc {
 
 struct Branch {
-  float rank;          // the higher, the better
-  float score;
-  std::uint32_t held;  // without what free places cost
-  float seen;          // share of the view that lies where the map has seen anything
   std::uint32_t yaw;   // of the widest windows, a turn
-  std::int32_t x, y;  // first cell of its window
+  std::int32_t x, y;   // first cell of its window
+  float seen = 0.0f;   // share of the view that lies where the map has seen anything
+  std::uint32_t held = 0;
+  float score = 0.0f;  // what is held, less what free places cost
+  float rank = 0.0f;   // by which branches are kept, the highest
 
   bool operator<(const Branch& other) const {  // the better one first
     return std::tie(other.rank, yaw, y, x) < std::tie(rank, other.yaw, other.y, other.x);
@@ -83,10 +83,11 @@ class Bounds {
 
   const SearchArea& area_;
   int leaf_level_;
-  std::vector<std::uint8_t> slices_, seen_, blocked_;  // the latter two: bits of what is known
+  std::vector<std::uint8_t> slices_;
+  std::vector<std::uint8_t> seen_, blocked_;  // bits that are counted, of columns and of free cells
   std::size_t first_, wide_;  // columns scored first, spread over all, and in the widest windows
   std::size_t most_, most_first_, most_wide_;  // slices of all columns, and of these
-  std::uint32_t most_seen_;
+  std::uint32_t most_seen_;                    // bits of the first
   Steps columns_, turned_;   // the latter for the highest level
   std::vector<Steps> free_;  // some, of each level
   Steps all_free_;           // of the leaves

@@ -61,7 +61,7 @@ class WidestWindows {
       if (scores[i] == least) --equal;
       const Window& window = windows_[i % windows_.size()];
       const auto turn = static_cast<std::uint32_t>(i / windows_.size());
-      branches.push_back({float(scores[i]), 0.0f, 0, 0.0f, turn, window.x, window.y});
+      branches.push_back({turn, window.x, window.y});
     }
     return branches;
   }
@@ -76,6 +76,7 @@ class WidestWindows {
   // Scores of all windows, turn by turn.
   std::vector<std::uint16_t> held() const {
     std::vector<std::uint16_t> found;
+    found.reserve(turns_.size() * windows_.size());
     for (const Bounds::Windows& at : turns_) {
       for (const Window& window : windows_) found.push_back(at.held[window.place]);
     }
@@ -84,6 +85,7 @@ class WidestWindows {
   // From the middle of the numbers on.
   std::vector<std::uint16_t> beyond_usual() const {
     std::vector<float> scores, seen;
+    for (std::vector<float>* each : {&scores, &seen}) each->reserve(turns_.size() * windows_.size());
     for (const Bounds::Windows& at : turns_) {
       for (const Window& window : windows_) {
         scores.push_back(float(at.held[window.place]) - each_ * float(at.blocked[window.place]));
@@ -92,6 +94,7 @@ class WidestWindows {
     }
     const float usual = usual_of(scores, seen);
     std::vector<std::uint16_t> found;
+    found.reserve(scores.size());
     for (std::size_t i = 0; i < scores.size(); ++i) {
       const float score = scores[i] - usual * seen[i] + float(kScores / 2);
       found.push_back(static_cast<std::uint16_t>(std::clamp(score, 0.0f, float(kScores - 1))));
@@ -142,7 +145,7 @@ std::vector<Branch> divided(const std::vector<Branch>& branches, int level) {
   const std::int32_t half = 1 << level;
   for (const Branch& b : branches) {
     for (const std::int32_t y : {b.y, b.y + half}) {
-      for (const std::int32_t x : {b.x, b.x + half}) parts.push_back({0.0f, 0.0f, 0, b.seen, b.yaw, x, y});
+      for (const std::int32_t x : {b.x, b.x + half}) parts.push_back({b.yaw, x, y, b.seen});
     }
   }
   return parts;
@@ -170,8 +173,9 @@ PlanarPose centred(const Branch& leaf, const Bounds& bounds, double cell,
   double ties = 0, x = 0, y = 0, turn = 0;
   for (int step = 0; step < 27; ++step) {
     const int dx = step % 3 - 1, dy = step / 3 % 3 - 1, dk = step / 9 - 1;
-    const int yaw = (int(leaf.yaw) + dk + int(limits.yaws)) % int(limits.yaws);
-    const Branch other{0.0f, 0.0f, 0, 0.0f, static_cast<std::uint32_t>(yaw), leaf.x + dx, leaf.y + dy};
+    const auto yaw = static_cast<std::uint32_t>(int(leaf.yaw) + dk + int(limits.yaws)) %
+                     static_cast<std::uint32_t>(limits.yaws);
+    const Branch other{yaw, leaf.x + dx, leaf.y + dy};
     const std::uint32_t score = bounds.held(limits.leaf_level, other);
     if (score < most) continue;
     if (score > most) most = score, ties = x = y = turn = 0;
