@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 from samples.maps import occupancy
-from samples.plaza import Plaza, PlazaSequence
+from samples.plaza import Plaza
 from segloc_lab.padding import mirrored
 
 from segloc import Config, Localizer, Scan, SegmentMap, geometry
-from segloc.map.voxel_cloud import VoxelCloud
 from segloc.proposals.occupancy import OccupancyConfig, OccupancyProposer, storeys
 from segloc.proposals.view import free_cells
 from segloc.types import Pose
@@ -64,25 +63,6 @@ def test_places_far_from_the_path_are_searched_where_the_map_is_small(
     assert near(found["small"][0].T_map_local, T)
     off = np.array([c.T_map_local[:2, 3] for c in found["large"]])
     assert len(off) and off[:, 1].max() < 4.0 + 20.0 + 6.0
-
-
-@pytest.mark.parametrize("yaw", [0.0, 1.0, 3.0])
-def test_a_view_that_leaves_the_map_is_proposed_beside_places_where_all_is_mapped(
-    localizer: Localizer, yaw: float
-) -> None:
-    T, clouds, paths = geometry.yaw_transform(yaw, (3.0, -2.0, 1.7)), [], []
-    for k in range(10):
-        at = np.array([150.0 * (k % 4), 150.0 * (k // 4), 0.0])
-        place = Plaza(seed=12 + k)
-        path = PlazaSequence(place).poses
-        mapped = place.points[place.points[:, 0] < -11.0] if k == 0 else place.points
-        paths.append(path[path[:, 0, 3] < -7.0] if k == 0 else path)
-        clouds.append(mapped + at)
-        paths[-1][:, :3, 3] += at
-    cloud = VoxelCloud(np.concatenate(clouds).astype(np.float32), np.zeros(3), 0.3)
-    query = localizer.describe(Plaza(seed=12).scan(T, seed=5))
-    found = OccupancyProposer(cloud, np.concatenate(paths)).propose(query)
-    assert any(near(candidate.T_map_local, T) for candidate in found)
 
 
 def test_a_query_without_segments_is_localized_by_what_stands(

@@ -59,15 +59,6 @@ std::vector<float> some_of(std::vector<float> places, std::size_t count) {
   return places;
 }
 
-// As many of the bits of what is seen as of each column's slices.
-std::vector<std::uint8_t> seen_of(const std::vector<std::uint8_t>& slices) {
-  std::vector<std::uint8_t> bits;
-  for (const std::uint8_t s : slices) {
-    bits.push_back(static_cast<std::uint8_t>(((1 << std::min<int>(kOnes.of[s], 7)) - 1) << 1));
-  }
-  return bits;
-}
-
 // At most `most` free cells that are clear to the edges of a level's windows.
 std::vector<float> free_of(const PlanarView& view, int level, std::size_t most) {
   const int reach = std::max(2, (1 << level) / 2);
@@ -114,14 +105,11 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
     : area_(area),
       leaf_level_(limits.leaf_level),
       slices_(spread(view.slices, view.m, 1, kOneOf)),
-      seen_(seen_of(slices_)),
-      blocked_(view.f, SearchArea::kBlocked),
       first_((view.m + kOneOf - 1) / kOneOf),
       wide_(wide_of(view.m)),
       most_(ones(slices_.data(), view.m)),
       most_first_(ones(slices_.data(), first_)),
       most_wide_(ones(slices_.data(), wide_)),
-      most_seen_(static_cast<std::uint32_t>(ones(seen_.data(), first_))),
       columns_(area, spread(view.columns, view.m, 2, kOneOf), limits),
       turned_(area, some_of(spread(view.columns, view.m, 2, kOneOf), wide_), limits, kTurned),
       all_free_(area, free_of(view, limits.leaf_level, view.f), limits) {
@@ -132,22 +120,16 @@ Bounds::Bounds(const SearchArea& area, const PlanarView& view, const SearchLimit
   }
 }
 
-Bounds::Windows Bounds::all(const std::vector<std::size_t>& runs, std::size_t turn) const {
-  Windows windows;
+void Bounds::all(const std::vector<std::size_t>& runs, std::size_t turn,
+                 std::vector<std::uint16_t>& held, std::vector<std::uint16_t>& scores) const {
+  area_.score(runs, turned_.offsets(turn), slices_.data(), wide_, held);
   const Steps& free = free_.back();
-  const std::int32_t* offsets = turned_.offsets(turn);
-  area_.score(runs, offsets, slices_.data(), wide_, windows.held);
-  area_.count(runs, offsets, seen_.data(), wide_, windows.seen);
-  area_.count(runs, free.offsets(turn), blocked_.data(), free.size(), windows.blocked);
-  return windows;
-}
-
-float Bounds::each() const {
-  return float(most_wide_) * kCost / float(std::max(free_.back().size(), kFewestFree));
-}
-
-float Bounds::seen(int level, const Branch& b) const {
-  return float(count(level, b, columns_, seen_.data(), first_)) / float(std::max(1u, most_seen_));
+  area_.blocked(runs, free.offsets(turn), free.size(), scores);
+  const float each = float(most_wide_) * kCost / float(std::max(free.size(), kFewestFree));
+  for (std::size_t i = 0; i < scores.size(); ++i) {
+    const float left = float(held[i]) - each * float(scores[i]);
+    scores[i] = static_cast<std::uint16_t>(std::max(0.0f, left));
+  }
 }
 
 void Bounds::roughly(int level, Branch* quarters, bool costly) const {
@@ -203,26 +185,20 @@ void Bounds::four(int level, Branch* quarters, std::size_t end) const {
   for (int k = 0; k < 4; ++k) quarters[k].held = sums[k];
 }
 
-std::uint32_t Bounds::count(int level, const Branch& b, const Steps& places,
-                            const std::uint8_t* bits, std::size_t end) const {
+float Bounds::cost(int level, const Branch& b, const Steps& free) const {
   const std::int32_t middle = (std::int32_t{1} << level) / 2, x = b.x + middle, y = b.y + middle;
   std::uint32_t sum = 0;
   if (area_.is_flat()) {
     const std::uint8_t* here = area_.flat(0, x, y);
-    const std::int32_t* steps = places.flat(b.yaw);
-    for (std::size_t i = 0; i < end; ++i) sum += kOnes.of[here[steps[i]] & bits[i]];
+    const std::int32_t* steps = free.flat(b.yaw);
+    for (std::size_t i = 0; i < free.size(); ++i) sum += here[steps[i]];
   } else {
-    const std::int32_t* offsets = places.offsets(b.yaw);
-    for (std::size_t i = 0; i < end; ++i) {
-      sum += kOnes.of[area_.middle(x + offsets[2 * i], y + offsets[2 * i + 1]) & bits[i]];
+    const std::int32_t* offsets = free.offsets(b.yaw);
+    for (std::size_t i = 0; i < free.size(); ++i) {
+      sum += area_.is_blocked(x + offsets[2 * i], y + offsets[2 * i + 1]);
     }
   }
-  return sum;
-}
-
-float Bounds::cost(int level, const Branch& b, const Steps& free) const {
-  const std::uint32_t blocked = count(level, b, free, blocked_.data(), free.size());
-  return kCost * float(blocked) / float(std::max(free.size(), kFewestFree));
+  return kCost * float(sum) / float(std::max(free.size(), kFewestFree));
 }
 
 }  // namespace segloc

@@ -11,15 +11,13 @@
 namespace segloc {
 
 struct Branch {
+  float score;
+  std::uint32_t held;  // without what free places cost
   std::uint32_t yaw;   // of the widest windows, a turn
-  std::int32_t x, y;   // first cell of its window
-  float seen = 0.0f;   // share of the view that lies where the map has seen anything
-  std::uint32_t held = 0;
-  float score = 0.0f;  // what is held, less what free places cost
-  float rank = 0.0f;   // by which branches are kept, the highest
+  std::int32_t x, y;  // first cell of its window
 
   bool operator<(const Branch& other) const {  // the better one first
-    return std::tie(other.rank, yaw, y, x) < std::tie(rank, other.yaw, other.y, other.x);
+    return std::tie(other.score, yaw, y, x) < std::tie(score, other.yaw, other.y, other.x);
   }
 };
 
@@ -54,15 +52,12 @@ class Bounds {
   // The area must outlive this.
   Bounds(const SearchArea& area, const PlanarView& view, const SearchLimits& limits);
 
-  // What the windows of some runs, of the highest level, hold of some columns at a turn.
-  struct Windows {
-    std::vector<std::uint16_t> held, seen, blocked;  // slices, and free places
-  };
-  Windows all(const std::vector<std::size_t>& runs, std::size_t turn) const;
-  // What each blocked place costs there.
-  float each() const;
-  // The share of the view that lies where the map has seen anything, from a window.
-  float seen(int level, const Branch& b) const;
+  // No score is higher.
+  std::size_t most() const { return most_; }
+  // What the windows of some runs, of the highest level, hold of some columns at a turn, and the
+  // same less the cost.
+  void all(const std::vector<std::size_t>& runs, std::size_t turn, std::vector<std::uint16_t>& held,
+           std::vector<std::uint16_t>& scores) const;
   // Scores the four quarters of one window by some of what is seen, with the cost or without.
   void roughly(int level, Branch* quarters, bool costly) const;
   // Scores a window so scored by all that is seen.
@@ -75,19 +70,14 @@ class Bounds {
  private:
   std::uint32_t one(int level, const Branch& b, std::size_t begin, std::size_t end) const;
   void four(int level, Branch* quarters, std::size_t end) const;
-  // How many of the bits of places, the first of some, are set from the middle of a window.
-  std::uint32_t count(int level, const Branch& b, const Steps& places, const std::uint8_t* bits,
-                      std::size_t end) const;
   // Loss, as a share of the largest possible score.
   float cost(int level, const Branch& b, const Steps& free) const;
 
   const SearchArea& area_;
   int leaf_level_;
   std::vector<std::uint8_t> slices_;
-  std::vector<std::uint8_t> seen_, blocked_;  // bits that are counted, of columns and of free cells
   std::size_t first_, wide_;  // columns scored first, spread over all, and in the widest windows
   std::size_t most_, most_first_, most_wide_;  // slices of all columns, and of these
-  std::uint32_t most_seen_;                    // bits of the first
   Steps columns_, turned_;   // the latter for the highest level
   std::vector<Steps> free_;  // some, of each level
   Steps all_free_;           // of the leaves

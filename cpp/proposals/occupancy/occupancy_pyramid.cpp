@@ -26,7 +26,6 @@ OccupancyPyramid::OccupancyPyramid(const float* points, const std::uint8_t* slic
   }
   number_tiles(cells);
   levels_[0].assign((tiles_.size() + 1) << (2 * kShift), 0);
-  seen_.assign(tiles_.size() + 1, 0);
   for (std::size_t i = 0; i < n; ++i) {
     const std::int32_t x = cells[2 * i], y = cells[2 * i + 1];
     const auto tx = static_cast<std::uint32_t>((x >> kShift) - tile_x_);
@@ -34,7 +33,6 @@ OccupancyPyramid::OccupancyPyramid(const float* points, const std::uint8_t* slic
     const std::size_t tile = tile_of_[std::size_t{ty} * tiles_wide_ + tx];
     const auto inside = static_cast<std::size_t>(((y & kMask) << kShift) | (x & kMask));
     levels_[0][(tile << (2 * kShift)) + inside] |= slices[i];
-    seen_[tile] |= std::uint64_t{1} << block_of(x, y);
   }
   for (std::size_t level = 1; level < levels_.size(); ++level) widen(level);
 }
@@ -88,7 +86,7 @@ void OccupancyPyramid::widen(std::size_t level) {
 }
 
 std::size_t OccupancyPyramid::bytes() const {
-  std::size_t sum = tile_of_.size() * sizeof(std::uint32_t) + seen_.size() * sizeof(std::uint64_t);
+  std::size_t sum = tile_of_.size() * sizeof(std::uint32_t);
   for (const auto& level : levels_) sum += level.size();
   return sum;
 }

@@ -48,8 +48,9 @@ class SearchArea {
   // Of a query that shows nothing farther than `range`, best first. The score: how many slices of
   // the columns the map holds within the window, less what free places cost that are blocked, seen
   // from the middle of the window. At each level only such count as are clear to the edges of its
-  // windows. There those are kept that hold most, and those whose score is highest beyond what is
-  // usual for as much of the view as lies where the map has seen anything: at its edge, less is held.
+  // windows. Without any, where `width` is eight times the branches of a level that could still
+  // hold one of the best, none is overlooked that its widest window holds at the middle of its
+  // turn, too.
   std::vector<PlanarPose> search(const PlanarView& view, const SearchLimits& limits) const;
 
   // The most that the columns, at these offsets in cells, can reach in each window of some runs.
@@ -57,11 +58,10 @@ class SearchArea {
              const std::uint8_t* slices, std::size_t m, std::vector<std::uint16_t>& scores) const {
     add_up(image_, runs, offsets, slices, m, scores);
   }
-  // How many of the bits of m places, at these offsets in cells, are set from the middle of each
-  // window.
-  void count(const std::vector<std::size_t>& runs, const std::int32_t* offsets,
-             const std::uint8_t* bits, std::size_t m, std::vector<std::uint16_t>& counts) const {
-    add_up(middles_, runs, offsets, bits, m, counts);
+  // How many of m places, at these offsets in cells, are blocked from the middle of each window.
+  void blocked(const std::vector<std::size_t>& runs, const std::int32_t* offsets, std::size_t m,
+               std::vector<std::uint16_t>& counts) const {
+    add_up(middles_, runs, offsets, nullptr, m, counts);
   }
 
   // Calls visit(run, place within it, x, y) for each root.
@@ -84,7 +84,7 @@ class SearchArea {
   }
 
   // Whether the levels below the highest one are kept as plain images, of which a cell is this one,
-  // and a row so wide; the lowest is of `middle`. Roots and what is seen about them lie within.
+  // and a row so wide; of the lowest what blocks. Roots and what is seen about them lie within.
   bool is_flat() const { return !flat_.empty(); }
   const std::uint8_t* flat(int level, std::int32_t x, std::int32_t y) const {
     const int top = map_.levels() - 1;
@@ -92,14 +92,11 @@ class SearchArea {
     return flat_[static_cast<std::size_t>(level)].data() + row * (wide_ << top) +
            static_cast<std::size_t>(x - low_x_ * (1 << top));
   }
-  static constexpr std::uint8_t kBlocked = 1, kSeen = 0xfe;  // of the latter, as many as count
-  // What is known of a cell, as bits. It is blocked if something stands there, so that its ground is
-  // not seen: in the map at least three of the four lowest slices are occupied. Single points may be
-  // noise. It is seen if the map has any points about it.
-  std::uint8_t middle(std::int32_t x, std::int32_t y) const {
+  // Whether something stands in a cell, so that its ground is not seen: in the map at least three
+  // of the four lowest slices are occupied. Single points may be noise.
+  bool is_blocked(std::int32_t x, std::int32_t y) const {
     const std::uint32_t empty = ~std::uint32_t{map_.at(0, x, y)} & 15u;
-    const bool blocked = (empty & (empty - 1)) == 0;
-    return static_cast<std::uint8_t>((blocked ? kBlocked : 0) | (map_.is_seen(x, y) ? kSeen : 0));
+    return (empty & (empty - 1)) == 0;
   }
   std::int32_t wide() const { return static_cast<std::int32_t>(wide_) << (map_.levels() - 1); }
   double range() const { return range_; }
@@ -115,9 +112,9 @@ class SearchArea {
 
   void lay_out();
   void lay_flat();
-  // Adds up the bits of each place, those that are asked for.
+  // Adds up bits, of the slices of each column or of all.
   void add_up(const std::vector<std::uint8_t>& image, const std::vector<std::size_t>& runs,
-              const std::int32_t* offsets, const std::uint8_t* bits, std::size_t m,
+              const std::int32_t* offsets, const std::uint8_t* slices, std::size_t m,
               std::vector<std::uint16_t>& sums) const;
   std::size_t place_of(std::int32_t x, std::int32_t y) const {
     return static_cast<std::size_t>(y - low_y_) * wide_ + static_cast<std::size_t>(x - low_x_);
@@ -128,7 +125,8 @@ class SearchArea {
   std::vector<Run> runs_;               // sorted by (y, x)
   std::int32_t low_x_ = 0, low_y_ = 0;  // of the images, in windows
   std::size_t wide_ = 0, high_ = 0;
-  // One image for each place of a cell within a window; of windows, and of their middles.
+  // One image for each place of a cell within a window; of windows, and of whether they are blocked
+  // in their middle.
   std::vector<std::uint8_t> image_, middles_;
   std::vector<std::vector<std::uint8_t>> flat_;  // up to the level below the highest
 };

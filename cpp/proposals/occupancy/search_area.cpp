@@ -56,7 +56,7 @@ void SearchArea::lay_out() {
         for (std::size_t x = 0; x < wide_; ++x) {
           const std::int32_t cell_x = (low_x_ + static_cast<std::int32_t>(x)) * side + px;
           image_.push_back(map_.at(top, cell_x, cell_y));
-          middles_.push_back(middle(cell_x + side / 2, cell_y + side / 2));
+          middles_.push_back(is_blocked(cell_x + side / 2, cell_y + side / 2));
         }
       }
     }
@@ -75,7 +75,7 @@ void SearchArea::lay_flat() {
     flat_.back().reserve(cells);
     for (std::int32_t v = low_y_ * (1 << top), y = v; y < v + high; ++y) {
       for (std::int32_t u = low_x_ * (1 << top), x = u; x < u + wide(); ++x) {
-        flat_.back().push_back(level == 0 ? middle(x, y) : map_.at(level, x, y));
+        flat_.back().push_back(level == 0 ? is_blocked(x, y) : map_.at(level, x, y));
       }
     }
   }
@@ -83,7 +83,7 @@ void SearchArea::lay_flat() {
 
 void SearchArea::add_up(const std::vector<std::uint8_t>& image,
                         const std::vector<std::size_t>& runs, const std::int32_t* offsets,
-                        const std::uint8_t* bits, std::size_t m,
+                        const std::uint8_t* slices, std::size_t m,
                         std::vector<std::uint16_t>& scores) const {
   const int top = map_.levels() - 1;
   const std::int32_t last = (1 << top) - 1;
@@ -96,8 +96,9 @@ void SearchArea::add_up(const std::vector<std::uint8_t>& image,
     columns[i] = place * wide_ * high_ + static_cast<std::size_t>(shift);
   }
   for (const std::size_t run : runs) begins.push_back(runs_[run].at);
+  const std::vector<std::uint8_t> all(slices ? 0 : m, std::uint8_t{0xff});
   scores.assign(runs.size() * kRun, 0);
-  kernels(parse_isa("auto")).add_slices(image.data(), columns.data(), bits,
+  kernels(parse_isa("auto")).add_slices(image.data(), columns.data(), slices ? slices : all.data(),
                                         m, begins.data(), begins.size(), scores.data());
 }
 

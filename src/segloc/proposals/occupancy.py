@@ -186,7 +186,7 @@ class _OccupancyMap:
         above = heights > HEIGHTS_M[0]
         if not above.any():
             return
-        points, slices = cloud, slices_of(heights)
+        points, slices = cloud[above], slices_of(heights[above])
         for levels, farther in EXTENTS:
             width, reach = config.cell * 2 ** (levels - 1), farther * config.reach_m
             roots = (

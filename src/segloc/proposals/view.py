@@ -127,8 +127,8 @@ def evenly(count: int, most: int) -> Int64:
 
 
 def slices_of(heights: Float32) -> Bytes:
-    """Return the slice of each point as a bit, (N,) uint8; 0 of ground."""
-    slices: Bytes = (1 << np.searchsorted(HEIGHTS_M, heights) >> 1).astype(np.uint8)
+    """Return the slice of each point as a bit, (N,) uint8."""
+    slices: Bytes = (1 << (np.searchsorted(HEIGHTS_M, heights) - 1)).astype(np.uint8)
     return slices
 
 
