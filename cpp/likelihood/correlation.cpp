@@ -108,7 +108,8 @@ class Planes {
     for (int layer = 0; layer < kLayers; ++layer) {
       std::uint8_t* values = &values_[index(layer, y, 0)];
       for (int x = 0; x < side_; ++x) {
-        const int here = kHere * (row[x + 1] >> layer & 1), near = kBeside * (beside[x] >> layer & 1);
+        const int here = kHere * (row[x + 1] >> layer & 1);
+        const int near = kBeside * (beside[x] >> layer & 1);
         values[x] = static_cast<std::uint8_t>(std::max<int>(values[x], std::max(here, near)));
       }
     }

@@ -280,7 +280,7 @@ void optimise(Problem& problem, int iterations, const GicpOptions& options, Gicp
   }
 }
 
-// Makes the rotation orthonormal, and scales the sums over every `stride`-th point to those over all.
+// Makes the rotation orthonormal, and scales sums over every `stride`-th point to those over all.
 void complete(Problem& problem, std::size_t stride, GicpResult& result) {
   result.T.R = orthonormal(result.T.R);
   result.motion = problem.motion();

@@ -13,7 +13,7 @@ constexpr double kPi = 3.14159265358979323846;
 // Every how many columns is scored first, and how many free cells. Fewer free cells than
 // `kFewestFree` count as that number.
 constexpr std::size_t kOneOf = 4, kSomeFree = 64, kFewestFree = 64;
-// The widest windows are scored by at least so many columns, in whole rounds over them.
+// The widest windows are scored by no fewer columns, a multiple of those scored first.
 constexpr std::size_t kFewestWide = 128;
 
 // Cost of all free cells being blocked, relative to the largest possible score. Set by hand.
@@ -81,8 +81,7 @@ double angle(double k, const SearchLimits& limits) {
 
 Steps::Steps(const SearchArea& area, const std::vector<float>& places, const SearchLimits& limits,
              std::size_t turned)
-    : size_(places.size() / 2),
-      offsets_(places.size() * ((limits.yaws + turned - 1) / turned)) {
+    : size_(places.size() / 2), offsets_(places.size() * turns(limits, turned)) {
   auto* next = offsets_.data();
   for (std::size_t k = 0; k < limits.yaws; k += turned) {
     const std::size_t last = std::min(k + turned, limits.yaws) - 1;

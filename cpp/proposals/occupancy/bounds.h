@@ -24,8 +24,8 @@ struct Branch {
 // The widest windows are scored at the middle of each turn, of some headings that follow one
 // another: what they hold differs little between these.
 constexpr std::size_t kTurned = 4;
-inline std::size_t turns(const SearchLimits& limits) {
-  return (limits.yaws + kTurned - 1) / kTurned;
+inline std::size_t turns(const SearchLimits& limits, std::size_t turned = kTurned) {
+  return (limits.yaws + turned - 1) / turned;
 }
 
 double angle(double k, const SearchLimits& limits);

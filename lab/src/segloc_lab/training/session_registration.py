@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 from pydantic import Field
 
 from segloc import geometry
@@ -72,7 +71,7 @@ class Registration:
         T = found.T_target_source
         self.accepted += 1
         self._last = T @ geometry.inverse(T_world_local)
-        self.shifts_m.append(float(np.linalg.norm(T[:3, 3] - T_world_local[:3, 3])))
+        self.shifts_m.append(found.shift_m(T_world_local))
         return T
 
     def _met(self, T: Pose, source: _Source, radius: float) -> float:
@@ -89,10 +88,7 @@ class Registration:
     def _believed(self, before: Pose, found: Alignment, source: _Source) -> bool:
         delta = geometry.inverse(before) @ found.T_target_source
         turn = math.degrees(geometry.rotation_angle(delta))
-        if (
-            np.linalg.norm(delta[:3, 3]) > self.config.max_shift_m
-            or turn > self.config.max_turn_deg
-        ):
+        if found.shift_m(before) > self.config.max_shift_m or turn > self.config.max_turn_deg:
             return False
         met = self._met(found.T_target_source, source, self.config.near_m)
         earlier = self._met(before, source, self.config.near_m)
