@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from samples.maps import repeated
 from samples.plaza import Plaza
+from samples.storey import furnished, scan_in, storey
 from samples.walk import POINTS_ASIDE, Site, run
 
-from segloc import Localizer, SegmentMap, geometry
+from segloc import Localizer, SegmentMap, build_map, geometry
 from segloc.likelihood import Count, Posterior, Walls, features_of, walls_over
 from segloc.tools.inspect import confidence_tables, steps, summarize, trace
 from segloc.tools.inspect.evidence import LABELS, evidence_rows, parts_of
@@ -167,6 +168,26 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
         assert len(np.unique(found.pairs[:, 0])) == len(found.pairs)
         assert summarize(found).startswith("localized" if plain.localized else "not localized")
         assert [name for name, _ in steps(found)][:4] == ["cloud", "ground", "segments", "matches"]
+
+
+@pytest.mark.slow
+def test_poses_in_rooms_that_are_aligned_more_finely_are_explained() -> None:
+    building = furnished(storey(1), 1)
+    path = np.stack([geometry.yaw_transform(0.3 * k, (2.0 * k + 2, 5.5, 1.2)) for k in range(11)])
+    scans = [scan_in(building, T, k) for k, T in enumerate(path)]
+    localizer = Localizer(build_map(scans, poses=path, check=False))
+    finer = 0
+    for k, (x, y) in enumerate([(4.0, 5.2), (9.0, 5.8), (14.0, 5.3)]):
+        cloud = localizer.accumulator.gather(
+            scan_in(building, geometry.yaw_transform(1.0, (x, y, 1.2)), 100 + k)
+        )
+        found, search = trace(localizer, cloud), localizer.search(localizer.describe(cloud))
+        best = search.posterior.best
+        assert best is not None
+        total = found.prior + sum(part.log_odds for part in found.parts)
+        assert total == pytest.approx(best.log_ratio)
+        finer += all(best.T_map_local is not fit.T_map_local for fit in search.fits)
+    assert finer
 
 
 def test_why_the_best_pose_beats_the_runner_up(plaza: Plaza, plaza_map: SegmentMap) -> None:

@@ -143,7 +143,9 @@ def runner_up_rows(parts: Sequence[Part]) -> list[tuple[float, str, str]]:
 
 def _fit(found: Search, place: ScoredPose) -> Observation:
     """Return what was measured at a place of the posterior."""
-    return next(fit for fit in found.fits if fit.T_map_local is place.T_map_local)
+    trials = [trial for trial in found.places if trial.fit is not None]
+    measured = ((trial.fit, at) for trial in trials for at in (trial.fit, trial.finest))
+    return next(fit for fit, at in measured if fit and at and at.T_map_local is place.T_map_local)
 
 
 def _known_count(fit: Observation) -> Count:
