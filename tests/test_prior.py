@@ -10,7 +10,9 @@ from samples.maps import occupancy, repeated
 from samples.plaza import Plaza
 
 from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, geometry
+from segloc.proposals.pose import PoseEstimator
 from segloc.tools.cli.options import parsed_prior
+from segloc.types import Candidate
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 AWAY = np.array([300.0, 40.0, 0.0])
@@ -50,6 +52,22 @@ def test_a_wrong_prior_is_named_and_no_pose_is_given(
     anywhere = localizer.localize(scan, near=Prior(position, radius, anywhere=True))
     without = localizer.localize(scan)
     assert anywhere.localized and np.array_equal(anywhere.T_map_sensor, without.T_map_sensor)
+
+
+class ProposesNothing(PoseEstimator):
+    def estimate(self, *_: Any) -> list[Candidate]:
+        return []
+
+
+def test_a_known_pose_is_answered_where_nothing_is_proposed(
+    plaza: Plaza, plaza_map: SegmentMap
+) -> None:
+    estimator = ProposesNothing(GEO.pose)
+    localizer = Localizer(plaza_map, estimator=estimator, proposers=())
+    query = localizer.describe(plaza.scan(TRUE, seed=77))
+    assert localizer.answer(query)[1].reason is Reason.NO_CONSISTENT_MATCHES
+    found, result = localizer.answer(query, known=[TRUE])
+    assert not found.candidates and result.localized and result.confidence > 0.99
 
 
 def test_stages_that_compare_clouds_keep_to_the_prior(plaza: Plaza, twice: SegmentMap) -> None:

@@ -107,7 +107,7 @@ class Search:
     ) -> Search:
         """Return the result of a posterior."""
         reason = posterior.reason(min_confidence)
-        if not candidates:
+        if not posterior.places:
             reason = Reason.NO_CONSISTENT_MATCHES
         message = posterior.message(min_confidence)
         where = prior_map, agreed.count, agreed.matches, candidates
