@@ -12,9 +12,10 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 
-from segloc import Config, Localization, Localizer, Scan, build_map, geometry
+from segloc import Config, Localization, Localizer, Scan, SegmentMap, build_map, geometry
 
 PROFILE = Config.preset("profile")
 YAWS = (0.3, 1.0, 2.0, -2.0)
@@ -59,6 +60,7 @@ FORK = """
 import os, sys, threading, warnings
 sys.path[:0] = {path!r}
 warnings.simplefilter("ignore")
+from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, Localizer, build_map, geometry
 plaza = Plaza(0)
@@ -105,3 +107,21 @@ def test_queries_change_nothing(localizer: Localizer, scans: list[Scan]) -> None
     for scan, kept in zip(scans, points, strict=True):
         np.testing.assert_array_equal(scan.points, kept)
     assert threading.active_count() < 50
+
+
+def test_columns_that_threads_join_at_once_are_whole() -> None:
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            for _ in range(200):
+                growing, together = make_map(views=6, segments=1), threading.Barrier(4)
+                read = [pool.submit(lengths, growing, together) for _ in range(4)]
+                assert {each.result() for each in read} == {(6,) * 7}
+    finally:
+        sys.setswitchinterval(interval)
+
+
+def lengths(growing: SegmentMap, together: threading.Barrier) -> tuple[int, ...]:
+    together.wait()
+    return tuple(len(column) for column in growing.columns().values())

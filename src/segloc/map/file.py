@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,6 +134,20 @@ def write(path: str | Path, contents: Contents) -> None:
     SeglocError
         If the file cannot be written, or :func:`read` would reject it.
     """
+    data, texts = _encoded(path, contents)
+    with replacing(path) as stream:
+        write_tensors(stream, data, texts)
+
+
+def to_bytes(name: str, contents: Contents) -> bytes:
+    """Return the bytes of a map file; ``name`` is what errors call it."""
+    stream = BytesIO()
+    write_tensors(stream, *_encoded(name, contents))
+    return stream.getvalue()
+
+
+def _encoded(path: str | Path, contents: Contents) -> tuple[dict[str, Array], dict[str, str]]:
+    """Return the arrays and texts of a file."""
     if fault := contents.fault():
         raise SeglocError(f"{path}: not written: {fault}")
     data = {
@@ -155,8 +171,7 @@ def write(path: str | Path, contents: Contents) -> None:
     length = len(encoded_header(data, texts))
     if length > MAX_HEADER_BYTES:
         raise SeglocError(f"{path}: not written: metadata too long ({length} bytes)")
-    with replacing(path) as stream:
-        write_tensors(stream, data, texts)
+    return data, texts
 
 
 def read(path: str | Path) -> Contents:
@@ -171,7 +186,7 @@ def read(path: str | Path) -> Contents:
         If the file is missing, truncated, corrupt, of a newer version, or no map, or a value is
         not finite or implausible; one line that names file, field and row.
     """
-    try:
+    with _described(path):
         if is_cloud(Path(path)) and Path(path).exists():
             raise MapFormatError(
                 f"{path}: a point cloud, not a map: build a map from it with "
@@ -184,6 +199,19 @@ def read(path: str | Path) -> Contents:
             raise MapFormatError(f"{path}: {kind}")
         with open_tensor_file(path) as file:
             return _read_checked(path, file)
+
+
+def from_bytes(name: str, data: bytes) -> Contents:
+    """Return the contents of a map file's bytes, as :func:`read`; errors call it ``name``."""
+    with _described(name):
+        return _read_checked(name, TensorFile(BytesIO(data)))
+
+
+@contextmanager
+def _described(path: str | Path) -> Iterator[None]:
+    """Turn the faults of a file into those of a map."""
+    try:
+        yield
     except TensorFileError as error:
         raise MapFormatError(f"{path}: unreadable as a map ({error})") from error
     except OSError as error:

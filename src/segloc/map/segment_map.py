@@ -543,12 +543,19 @@ class SegmentMap:
         SeglocError
             If the file cannot be written; an existing file is then unchanged.
         """
+        mapfile.write(path, self._contents())
+
+    def to_bytes(self) -> bytes:
+        """Return what :meth:`save` writes."""
+        return mapfile.to_bytes("the map", self._contents())
+
+    def _contents(self) -> mapfile.Contents:
         arrays = self.columns()
         if not arrays["missed"].any():  # as in files older than the column
             del arrays["missed"]
         arrays.update(cloud=self.cloud, origin=self.origin, trajectory=self.trajectory)
         named = self.descriptor, self.fingerprint, self.cloud_voxel, self.metadata
-        mapfile.write(path, mapfile.Contents(arrays, *named))
+        return mapfile.Contents(arrays, *named)
 
     @classmethod
     def load(cls, path: str | Path) -> SegmentMap:
@@ -559,7 +566,15 @@ class SegmentMap:
         MapFormatError
             If the file is missing, truncated, corrupt, of a newer version, or no map.
         """
-        file = mapfile.read(path)
+        return cls._of(mapfile.read(path))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, name: str = "the map") -> SegmentMap:
+        """Read a map from the bytes of a file, as :meth:`load`; errors call it ``name``."""
+        return cls._of(mapfile.from_bytes(name, data))
+
+    @classmethod
+    def _of(cls, file: mapfile.Contents) -> SegmentMap:
         return cls(
             file.descriptor,
             file.fingerprint,
@@ -577,7 +592,7 @@ class SegmentMap:
 
 def _join(parts: list[Part]) -> Array:
     """Join the parts into one array, which replaces them in the list if there are several."""
-    arrays = [array_of(part) for part in parts]
+    arrays = [array_of(part) for part in list(parts)]  # other threads may replace them
     if len(arrays) > 1:
         arrays = [np.concatenate(arrays)]
         parts[:] = arrays

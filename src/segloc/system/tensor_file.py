@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import FileIO
+from io import BytesIO, FileIO
 from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -57,9 +57,10 @@ class TensorFile:
         In the order of their positions. Together they cover the file after the header.
     """
 
-    def __init__(self, stream: FileIO) -> None:
+    def __init__(self, stream: FileIO | BytesIO) -> None:
         self._stream = stream
-        length = os.fstat(stream.fileno()).st_size
+        length = stream.seek(0, os.SEEK_END)
+        stream.seek(0)
         if length < 8:
             raise TensorFileError("header too small")
         size = int.from_bytes(self._bytes(8), "little")

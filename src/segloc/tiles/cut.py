@@ -8,7 +8,6 @@ from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -174,10 +173,7 @@ def write_square(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> T
 
 def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
     """Write a map to a file named by its content, unless it exists."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "part.segmap"
-        part.save(path)
-        data = path.read_bytes()
+    data = part.to_bytes()
     digest = digest_of(data)
     file = f"{name}-{digest}.segmap"
     if file not in store.names():

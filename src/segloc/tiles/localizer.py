@@ -19,7 +19,7 @@ from ..map.segment_map import SegmentMap
 from ..pipeline import Search
 from ..prior import Prior
 from ..proposals.coarse_vote import CoarseVoter
-from ..proposals.proposer import Estimator, Query
+from ..proposals.proposer import Query
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
@@ -47,8 +47,6 @@ class TiledLocalizer(Localizer):
     tiles : TiledMap
     config : Config, optional
         By default the configuration of the map.
-    estimator : Estimator, optional
-        Estimates poses from matches of segments; by default that of ``config.pose``.
     clock : callable
         Clock of the times of stages; returns seconds.
 
@@ -71,7 +69,6 @@ class TiledLocalizer(Localizer):
         tiles: TiledMap,
         config: Config | None = None,
         *,
-        estimator: Estimator | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
         if not isinstance(tiles, TiledMap):
@@ -79,7 +76,7 @@ class TiledLocalizer(Localizer):
                 f"a TiledLocalizer needs a TiledMap, not {type(tiles).__name__}: "
                 "open one by segloc.tiles.TiledMap(place)"
             )
-        super().__init__(tiles.coarse(), config, estimator=estimator, proposers=(), clock=clock)
+        super().__init__(tiles.coarse(), config, proposers=(), clock=clock)
         self.tiles, config = tiles, self.config
         self._vote = CoarseVoter(
             self.prior_map,
@@ -91,7 +88,7 @@ class TiledLocalizer(Localizer):
         )
         self._pieces = Pieces(tiles, config)
         self._settings = config.to_yaml()
-        self._reopen = partial(TiledLocalizer, tiles, config, estimator=estimator, clock=clock)
+        self._reopen = partial(TiledLocalizer, tiles, config, clock=clock)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the location and the configuration; unpickling opens the tiles again."""

@@ -9,11 +9,10 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any, TypeVar
 
-from ..errors import MapFormatError, MapMismatch
+from ..errors import MapMismatch
 from ..map.coding import Stored
 from ..map.segment_map import SegmentMap, concatenate_maps, part_where, with_parts
 from ..system.stage_times import Clock
@@ -140,15 +139,8 @@ class TiledMap:
         return self.together(tiles).cloud
 
     def _load(self, file: TileFile) -> SegmentMap:
-        data = self._reader.tile(file)
         where = f"{self.where}/{file.file}"
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / file.file
-            path.write_bytes(data)
-            try:
-                loaded = SegmentMap.load(path)
-            except MapFormatError as error:
-                raise MapFormatError(str(error).replace(str(path), where)) from error
+        loaded = SegmentMap.from_bytes(self._reader.tile(file), where)
         index = self.index
         if (loaded.descriptor, loaded.fingerprint) != (index.descriptor, index.fingerprint):
             raise MapMismatch(f"{where}: its descriptor differs from the index")

@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from ...system.files import checked_target, replacing
 from ...system.locks import exclusive
 from ...system.text import json_text
 from ...types import Float64, Int64
-from ..io import Trajectory, write_tum
+from ..io import Trajectory, tum_text
 from .console import note
 
 if TYPE_CHECKING:
@@ -97,10 +96,7 @@ def tum_bytes(numbers: Int64, stamps: Float64 | None, poses: Float64) -> bytes:
     """Return a TUM file of poses by stamp, or else by scan number, with a remark."""
     keys = numbers.astype(np.float64) if stamps is None else stamps
     remark = "no times: the first column is the scan number" if stamps is None else ""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "poses.tum"
-        write_tum(path, Trajectory(keys, poses), remark)
-        return path.read_bytes()
+    return tum_text("poses.tum", Trajectory(keys, poses), remark).encode()
 
 
 def _poses(evaluation: Evaluation) -> bytes:

@@ -112,12 +112,16 @@ def write_tum(path: str | Path, trajectory: Trajectory, remark: str = "") -> Non
     SeglocError
         If the file cannot be written.
     """
-    path = Path(path)
+    write_text(path, tum_text(path, trajectory, remark))
+
+
+def tum_text(name: str | Path, trajectory: Trajectory, remark: str = "") -> str:
+    """Return what :func:`write_tum` writes; errors call it ``name``."""
     if (np.diff(np.round(trajectory.stamps, 9)) <= 0).any():
-        raise DatasetError(f"{path}: two stamps are equal to 9 decimals")
+        raise DatasetError(f"{name}: two stamps are equal to 9 decimals")
     rows = np.column_stack([trajectory.stamps, pose_rows(trajectory.poses)])
     header = "# stamp tx ty tz qx qy qz qw\n" + (f"# {remark}\n" if remark else "")
-    write_text(path, _format_rows(rows, "%.9f", header))
+    return _format_rows(rows, "%.9f", header)
 
 
 def write_kitti(path: str | Path, trajectory: Trajectory) -> None:
