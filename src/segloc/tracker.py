@@ -19,7 +19,7 @@ from .likelihood import Posterior
 from .localization import Localization
 from .localizer import Localizer
 from .pipeline import Search
-from .prior import Prior, allowed
+from .prior import MAX_RADIUS_M, Prior, allowed
 from .proposals.proposer import Query
 from .system.checks import checked_height, checked_pose
 from .system.stage_times import StageTimes
@@ -276,7 +276,8 @@ class Tracker:
         if belief.height is None:
             return None
         metres, sigma = belief.height.expected(T, belief.travelled, self.config.drift_up)
-        height = Prior(height_m=metres, height_tolerance_m=_HEIGHT_SIGMAS * sigma)
+        tolerance = min(_HEIGHT_SIGMAS * sigma, MAX_RADIUS_M)
+        height = Prior(height_m=metres, height_tolerance_m=tolerance)
         agrees = bool(belief.hypotheses) and height.holds(belief.hypotheses[0].T_map_odom @ T)
         return replace(height, anywhere=not agrees)
 

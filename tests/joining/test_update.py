@@ -12,10 +12,10 @@ from samples.plaza import Plaza, PlazaSequence
 from samples.walk import as_folder, run
 from scipy.spatial import cKDTree
 
-from segloc import Config, Scan, SeglocError, SegmentMap, build_map, geometry
+from segloc import Config, MemoryRecording, Scan, SeglocError, SegmentMap, build_map, geometry
 from segloc.errors import DatasetError, MapMismatch
 from segloc.joining.update import UpdateConfig, update_map
-from segloc.joining.visibility import visibility
+from segloc.joining.visibility import VisibilityConfig, visibility
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
@@ -76,6 +76,20 @@ def test_what_is_looked_through_is_gone_and_what_is_hidden_is_not() -> None:
     moved = np.array([1e6, -2e6, 100.0])
     far = Reposed(Screen(post=False), geometry.rigid(np.eye(3), moved) @ Screen(post=False).poses)
     assert visibility(_places(), moved, far).gone.tolist() == without.gone.tolist()
+
+
+def test_free_space_is_known_from_all_directions_about_a_ray() -> None:
+    """Past a point goes one ray, but another beside it ends as near."""
+    beside, past = np.radians([-0.5, 0.5])
+    poses = [geometry.yaw_transform(0.0, (0.01 * k, 0.0, 0.0)) for k in range(4)]
+    for heading in np.radians(np.arange(-180, 180, 15)):
+        ends = [
+            [r * np.cos(heading + a), r * np.sin(heading + a), 0.0]
+            for r, a in ((25.0, beside), (29.0, past), (25.0, past))
+        ]
+        drive = MemoryRecording([Scan(np.array(ends[:2]))] * 4, poses=np.stack(poses))
+        place = np.array(ends[2:], np.float32)
+        assert not visibility(place, np.zeros(3), drive, VisibilityConfig(every_m=0.005)).gone.any()
 
 
 def test_without_poses_there_is_nothing_to_judge() -> None:

@@ -12,9 +12,10 @@ import pytest
 from samples.plaza import Plaza
 from samples.streams import error_m, feed, put, walked
 
-from segloc import InvalidScan, Localizer, Scan
+from segloc import InvalidScan, Localizer, MemoryRecording, Scan, geometry
 from segloc.errors import LiveError
 from segloc.live import LiveConfig, LiveCore, LiveLocalizer, State, Status
+from segloc.live.replay import play
 from segloc.tracker import TrackerConfig
 
 CONFIG = LiveConfig(tracker=TrackerConfig(accumulate=True, every_m=4.0))
@@ -165,3 +166,16 @@ def test_wrong_input_is_refused_where_it_is_handed_over(localizer: Localizer) ->
         with pytest.raises(InvalidScan, match="finite"):
             live.add_odometry(np.inf, np.eye(4))
         assert live.flush(WAIT_S) and live.state.status is Status.LOST
+
+
+def test_a_recording_that_is_replayed_faster_is_the_same_drive(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """At 15 m/s, which is fast enough for a car, and ten times that is a jump."""
+    poses = np.stack([geometry.yaw_transform(0.0, (1.5 * k - 12.0, 0.0, 1.7)) for k in range(16)])
+    scan = plaza.scan(poses[0])
+    drive = MemoryRecording([scan] * len(poses), poses=poses, stamps=0.1 * np.arange(len(poses)))
+    said: list[State] = []
+    replay = play(localizer, drive, CONFIG, rate=10.0, on_state=lambda _, state: said.append(state))
+    assert replay.scans > 0
+    assert not any("jumped" in str(state.reason) for state in said)

@@ -111,6 +111,9 @@ def test_heights_are_of_the_base_and_old_ones_do_not_count(
     assert height is not None and height.metres == pytest.approx(1.8)
     core.add_height(before.stamp - 1.0, FLOOR_M + STOREY_M, 0.5)  # out of order
     assert core.unused_heights == 4 and core.tracker.belief.height is height
+    core.add_height(before.stamp, FLOOR_M, 1e6)  # as good as none
+    feed(core, events)
+    assert core.refused == 0 and core.scans == 1
     for number, sigma in ((np.nan, 0.5), (np.inf, 0.5), (1.0, -1.0), (1.0, np.nan), ("up", 0.5)):
         with pytest.raises(InvalidScan, match="height"):
             core.add_height(before.stamp, number, sigma)

@@ -670,3 +670,18 @@ def test_points_on_the_robot_are_dropped_by_the_box_of_the_map(
         poses.append([T.tobytes() for T in (each.T_map_base for each in found)])
         assert len(odometry) == 5 and poses[-1]
     assert poses[0] == poses[1]
+
+
+def test_odometry_of_clouds_goes_on_after_the_clock_is_set_back(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """As by a bag that is played in a loop."""
+    listener = Listener.mounted(localizer, odometry="kiss-icp")
+    counts = []
+    for _ in range(2):
+        for events, _ in walked(plaza, 12, step=0.5, every_s=0.1):
+            for event in events:
+                if event.scan is not None:
+                    listener.cloud(event.stamp, event.scan.points)
+        counts.append(len(listener.of_kind(OdometryReply)))
+    assert counts == [12, 24]

@@ -295,6 +295,7 @@ class SeglocNode(LifecycleNode):
         if self.pump is not None:
             self.pump.end()
             self.pump = None
+        self.waiting.settle(-1, given_up=True)
 
     def destroy_node(self) -> None:
         self._end_bond()

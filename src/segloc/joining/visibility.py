@@ -119,7 +119,7 @@ def _free_space_violations(
 
 def _range_images(scan: Float32, bin_deg: float) -> tuple[Float64, Float64]:
     """Return the minimum range in each pixel, infinite if empty, and in its neighbourhood."""
-    shape = round(360 / bin_deg) + 1, round(180 / bin_deg) + 1
+    shape = round(360 / bin_deg), round(180 / bin_deg) + 1
     measured = np.full(shape, np.inf)
     pixels, ranges = _pixels(scan.astype(np.float64), bin_deg)
     np.minimum.at(measured, pixels, ranges)
@@ -132,5 +132,5 @@ def _pixels(points: Float64, bin_deg: float) -> tuple[tuple[Int64, Int64], Float
     ranges = np.sqrt(x * x + y * y + z * z)
     azimuth = np.degrees(np.arctan2(y, x)) + 180.0
     elevation = np.degrees(np.arctan2(z, np.hypot(x, y))) + 90.0
-    columns = (azimuth / bin_deg).astype(np.int64)
+    columns = (azimuth / bin_deg).astype(np.int64) % round(360 / bin_deg)
     return (columns, (elevation / bin_deg).astype(np.int64)), ranges

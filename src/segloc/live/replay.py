@@ -159,7 +159,7 @@ def play(
     MissingDependency
         If there are no poses, and kiss-icp is not installed.
     """
-    clock, poses = _clock(recording) / (rate or 1.0), _motion(recording)
+    clock, poses = _clock(recording), _motion(recording)
     listener = _Listener(clock, on_state)
     alone, observed = poses is None, heights or [None] * len(recording)
     progress = progress or (lambda done, total: None)
@@ -172,7 +172,7 @@ def play(
             keeper=keeper,
             on_state=listener,
         ) as live:
-            missed = _in_time(live, recording, clock, poses, observed, progress)
+            missed = _in_time(live, recording, clock, rate, poses, observed, progress)
             scans, dropped = live.scans, live.dropped + missed
     else:
         core = LiveCore(localizer, config, np.eye(4), lidar_odometry=alone, keeper=keeper)
@@ -211,24 +211,25 @@ def _in_time(
     live: LiveLocalizer,
     recording: Recording,
     clock: Float64,
+    rate: float,
     poses: Float64 | None,
     observed: Sequence[tuple[float, float] | None],
     progress: Progress,
 ) -> int:
-    """Replay in real time; return the number of scans that could not be read in time."""
+    """Replay at a rate; return the number of scans that could not be read in time."""
     missed, count = 0, len(recording)
-    begun = time.monotonic() - clock[0]
+    begun, due = time.monotonic(), (clock - clock[0]) / rate
     for i in range(count):
         now = time.monotonic() - begun
         if poses is not None:
             live.add_odometry(clock[i], poses[i])
         if (height := observed[i]) is not None:
             live.add_height(clock[i], *height)
-        if i + 1 < count and now > clock[i + 1]:
+        if i + 1 < count and now > due[i + 1]:
             missed += 1
             continue
         scan = recording.scan(i)
-        time.sleep(max(0.0, clock[i] - (time.monotonic() - begun)))
+        time.sleep(max(0.0, due[i] - (time.monotonic() - begun)))
         live.add_scan(scan, clock[i])
         progress(i + 1, count)
     live.flush()

@@ -521,7 +521,7 @@ class Robot:
             scan = self._localizer.config.local_cloud.without_body(scan)
         for time_s, T in odometry.add(scan, given.stamp):
             before = self._odometry[-1] if self._odometry else None
-            if before is not None and time_s <= before[0]:
+            if before is not None and 0.0 <= before[0] - time_s <= self._live.clock_jump_s:
                 continue
             frames = self.body.odom_frame, self.settings.base_frame
             replies.append(OdometryReply.of(Transform(time_s, *frames, T), before))
