@@ -215,7 +215,7 @@ def _described(path: str | Path) -> Iterator[None]:
     except TensorFileError as error:
         raise MapFormatError(f"{path}: unreadable as a map ({error})") from error
     except OSError as error:
-        raise MapFormatError(f"{path}: cannot be read: {error}") from error
+        raise MapFormatError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _read_checked(path: str | Path, file: TensorFile) -> Contents:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -39,6 +40,9 @@ _READERS = {
 """What reads a file, by the name of the argument."""
 _ATTRIBUTES = ("xyz", "points", "vertices", "poses")
 """Of objects of other libraries that hold the array (laspy, Open3D, PyVista, trimesh)."""
+
+_UNIT = re.compile(r"\s*[\[(][^\[(]{0,20}[\])]$")
+_MAX_NAMES, _MAX_TEXT = 12, 200  # of the fields listed in a message
 
 
 def as_array(values: ArrayLike, name: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
@@ -81,14 +85,17 @@ def _line_for(values: Any, name: str) -> str:
 def axis_fields(names: Sequence[str]) -> list[int]:
     """Return the positions of the fields x, y and z, in upper case if not in lower.
 
+    A unit after a name, as in "x [m]", is ignored.
+
     Raise InvalidScan if one is missing or occurs twice.
     """
-    chosen = []
+    chosen, plain = [], [_UNIT.sub("", name) for name in names]
     for axis in "xyz":
-        name = axis if axis in names else axis.upper()
-        if (found := names.count(name)) != 1:
-            raise InvalidScan(f"{found} fields named {axis}" if found else f"no field {axis}")
-        chosen.append(names.index(name))
+        name = axis if axis in plain else axis.upper()
+        if (found := plain.count(name)) != 1:
+            fault = f"{found} fields named {axis}" if found else f"no field {axis}"
+            raise InvalidScan(f"{fault}; fields: {', '.join(names[:_MAX_NAMES])[:_MAX_TEXT]}")
+        chosen.append(plain.index(name))
     return chosen
 
 
@@ -110,9 +117,7 @@ def point_rows(points: ArrayLike, name: str = "points") -> NDArray[np.floating[A
         try:
             array = np.stack([array[names[k]] for k in axis_fields(names)], axis=-1)
         except InvalidScan as error:
-            raise InvalidScan(
-                f"{name} must have the fields x, y and z, not {', '.join(names)}: {error}"
-            ) from error
+            raise InvalidScan(f"{name} must have the fields x, y and z: {error}") from error
     shape = array.shape
     if len(shape) not in (2, 3) or shape[-1] < 3:
         raise InvalidScan(f"{name} must have shape (N, 3) or wider, or (H, W, 3), not {shape}")

@@ -84,13 +84,16 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def checked_target(path: Path) -> Path:
+def checked_target(path: Path, *suffixes: str) -> Path:
     """Return the file that ``path`` refers to, if it can be written.
+
+    With ``suffixes``, those of what is written, no other file is replaced: it may be an input.
 
     Raises
     ------
     SeglocError
-        If it is a folder or a device, or its folder does not exist.
+        If it is a folder or a device, exists under another suffix, or its folder does not exist or
+        must not be written.
     """
     target = Path(os.path.realpath(path))  # keep links
     if target.is_dir():
@@ -99,7 +102,24 @@ def checked_target(path: Path) -> Path:
         raise SeglocError(f"{path}: cannot be written: is not a regular file")
     if not target.parent.is_dir():
         raise SeglocError(f"{path}: cannot be written: there is no folder {target.parent}")
+    if suffixes and target.exists() and target.suffix.lower() not in suffixes:
+        raise SeglocError(
+            f"{path}: exists, and is no {suffixes[0]} file by its name: choose another name, or "
+            "remove it"
+        )
+    require_permission(path, target.parent)
     return target
+
+
+def require_permission(path: Path, folder: Path) -> None:
+    """Reject what would be written to a folder without permission to write there.
+
+    Raises
+    ------
+    SeglocError
+    """
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise SeglocError(f"{path}: cannot be written: no permission to write to {folder}")
 
 
 @contextmanager

@@ -229,7 +229,6 @@ def test_recordings_that_cannot_be_used(
     cases = [
         ("empty.*no scans", empty, []),
         ("nowhere.*no such folder", tmp_path / "nowhere", []),
-        (r"0001\.npy", short, []),
         (r"none\.tum: no such file", toy.run_2, ["--poses", "none.tum"]),
         ("selects none", toy.run_2, ["--select", "500:"]),
         ("neither a number nor a range", toy.run_2, ["--select", "a:b"]),
@@ -241,6 +240,7 @@ def test_recordings_that_cannot_be_used(
     out = tmp_path / "out"
     for match, folder, more in cases:
         refused(match, "localize", folder, "--map", toy.map, "--out", out, *more)
+    refused(r"0001\.npy", "localize", short, "--map", toy.map, "--select", "1:", "--out", out)
     build = ["--poses", toy.run_1 / "poses.tum", "--out", tmp_path / "out.segmap"]
     for match, folder in [("no scans", empty), (r"0001\.npy", short)]:
         refused(match, "map", "build", folder, *build)
@@ -248,6 +248,20 @@ def test_recordings_that_cannot_be_used(
 
 
 @pytest.mark.slow
+def test_answers_before_a_scan_that_is_cut_off_are_kept(
+    toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i in range(3):
+        shutil.copy(toy.run_2 / f"{i:04d}.npy", tmp_path)
+    whole = (tmp_path / "0002.npy").read_bytes()
+    (tmp_path / "0002.npy").write_bytes(whole[: len(whole) // 2])
+    out = tmp_path / "out"
+    assert run("localize", tmp_path, "--map", toy.map, "--out", out) == 1
+    err = capsys.readouterr().err
+    assert "2 of 3 queries" in err and "0002.npy" in err.splitlines()[-1]
+    assert [record["index"] for record in read_records(out)] == [0, 1]
+
+
 def test_poses_for_some_of_the_scans(
     toy: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -278,8 +292,10 @@ def test_nothing_to_map(
     toy: Toy, tmp_path: Path, refused: Callable[..., None], points: np.ndarray
 ) -> None:
     np.save(tmp_path / "0.npy", points.astype(np.float32))
-    refused("no segment", "map", "build", tmp_path, "--poses", toy.run_1 / "poses.tum",
-            "--out", tmp_path / "out.segmap")  # fmt: skip
+    build = ["map", "build", tmp_path, "--poses", toy.run_1 / "poses.tum"]
+    build += ["--out", tmp_path / "out.segmap"]
+    refused("points in the scan read: check what drops them", *build)
+    refused("no segment", *build, "--unchecked")
 
 
 @pytest.mark.slow
@@ -336,7 +352,7 @@ def test_configurations_that_cannot_be_used(
 
 
 def test_outputs_that_cannot_be_written(
-    toy: Toy, tmp_path: Path, refused: Callable[..., None]
+    toy: Toy, tmp_path: Path, refused: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "out"):
@@ -344,6 +360,31 @@ def test_outputs_that_cannot_be_written(
     build = ["map", "build", toy.run_1, "--poses", "poses.tum", "--out"]
     refused("is a directory", *build, tmp_path)
     refused("no folder", *build, tmp_path / "none" / "out.segmap")
+    monkeypatch.setattr(os, "access", lambda _, mode: mode == os.R_OK)
+    refused("no permission", *build, tmp_path / "out.segmap")
+    refused("no permission", "localize", toy.run_2, "--map", toy.map, "--out", tmp_path / "out")
+
+
+def test_what_may_be_an_input_is_not_replaced(
+    toy: Toy, tmp_path: Path, refused: Callable[..., None]
+) -> None:
+    run_2 = shutil.copytree(toy.run_2, tmp_path / "run_2")
+    localize = ["localize", run_2, "--map", toy.map]
+    before = {path: path.read_bytes() for path in [*run_2.iterdir(), toy.map]}
+    refused(
+        "no .segmap file",
+        "map",
+        "build",
+        run_2,
+        "--poses",
+        "poses.tum",
+        "--out",
+        run_2 / "poses.tum",
+    )
+    refused("no .html file", *localize, "--html", run_2 / "0001.npy")
+    refused("poses.tum is no result", *localize, "--poses", "poses.tum", "--out", run_2)
+    refused("no .pcd file", "export", toy.map, "--to", "pcd", "--out", toy.map)
+    assert before == {path: path.read_bytes() for path in before}
 
 
 def test_a_full_disk_leaves_nothing_behind(

@@ -111,6 +111,19 @@ def test_debug_keeps_each_query_small_and_whole(site: Site, results: Path) -> No
 
 
 @pytest.mark.slow
+def test_results_are_of_the_last_run_alone(site: Site, tmp_path: Path) -> None:
+    given, out = ("localize", site.run, "--map", site.map, "--select"), tmp_path / "out"
+    more = ("--poses", "poses.tum", "--truth", "poses.tum", "--debug", "--out", out)
+    assert run(*given, "4:5", *more) == 0
+    assert (out / "errors.png").exists() and all(each.stages for each in read_results(out))
+    (out / "notes.txt").write_text("mine")
+    assert run(*given, "4", "--out", out) == 0
+    (shown,) = read_results(out)
+    assert shown.stages is None and not (out / "errors.png").exists()
+    assert (out / "notes.txt").exists()
+
+
+@pytest.mark.slow
 def test_a_damaged_file_is_one_line(results: Path, tmp_path: Path) -> None:
     whole = (results / "debug" / "0.npz").read_bytes()
     rng = np.random.default_rng(0)

@@ -82,19 +82,26 @@ def localize_sequence(
     DatasetError
         If a scan cannot be read. An empty scan is "not localized".
     """
-    results: list[Localization] = []
-    sequence = as_recording(scans)
+    results = []
+    for result in localized(localizer, as_recording(scans), positions, near):
+        results.append(result)
+        if progress:
+            progress(len(results), len(positions))
+    return results
+
+
+def localized(
+    localizer: Localizer, sequence: Recording, positions: Int64, near: Priors = None
+) -> Iterator[Localization]:
+    """Yield the answers of :func:`localize_sequence`, one by one."""
     clouds = query_clouds(sequence, positions, localizer.config, localizer.clock)
     begun = time.process_time()
     for (cloud, times), prior in zip(clouds, each_prior(near, len(positions)), strict=True):
         query = localizer.describe(cloud, times)
         result = localizer.locate(query, times, near=prior)
         spent_ms = 1e3 * (time.process_time() - begun)
-        results.append(replace(result, times_ms={**result.times_ms, PROCESSOR: spent_ms}))
-        if progress:
-            progress(len(results), len(positions))
+        yield replace(result, times_ms={**result.times_ms, PROCESSOR: spent_ms})
         begun = time.process_time()
-    return results
 
 
 def each_prior(near: Priors, count: int) -> Sequence[Prior | None]:

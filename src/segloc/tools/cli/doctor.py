@@ -35,7 +35,7 @@ def doctor(
     from ...system.files import checked_target, write_text
 
     if html is not None:
-        checked_target(html)
+        checked_target(html, ".html", ".htm")
     recording, found = examine_recording(sequence, poses, select, topic, sample, config)
     facts, wrong = found.inspection, sum(finding.wrong for finding in found.findings)
     scans = quantity(len(recording), "scans")

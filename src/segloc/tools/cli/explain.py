@@ -54,7 +54,7 @@ def explain(
     from .recording import open_recording
 
     if html is not None:
-        checked_target(html)
+        checked_target(html, ".html", ".htm")
     with busy("Loading the map"):
         localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
     local = localizer.config.local_cloud
@@ -67,13 +67,14 @@ def explain(
         findings = _findings(
             recording, position, local, None if found.result.localized else localizer.prior_map
         )
-    _show(found, findings)
     if html is not None:
         from ...system.files import write_text
         from ..inspect.page import page
 
         with busy("Drawing"):
             write_text(html, page(found, findings))
+    _show(found, findings)
+    if html is not None:
         print(f"\npictures: {html}")
 
 

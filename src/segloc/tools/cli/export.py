@@ -49,7 +49,7 @@ def export(
         typer.Option(metavar="FILE_OR_DIR", help="Output file; for autoware and nav2 a folder."),
     ],
     tile: Annotated[
-        float, typer.Option(min=1, metavar="METRES", help="Edge of the Autoware tiles.")
+        float, typer.Option(min=1, max=1e5, metavar="METRES", help="Edge of the Autoware tiles.")
     ] = 20.0,
     resolution: Annotated[
         float, typer.Option(metavar="METRES", help="Edge of a cell of the nav2 grid.")

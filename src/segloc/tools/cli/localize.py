@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...errors import ConfigError
+from ...errors import ConfigError, SeglocError
 from . import options
-from .console import busy, progress
+from .console import busy, note, progress
 
 if TYPE_CHECKING:
     from ...types import Recording
@@ -75,7 +75,7 @@ def localize(
     options.check_every(every)
     place = options.parsed_prior(near, radius, anywhere, height)
     if html is not None:
-        checked_target(html)
+        checked_target(html, ".html", ".htm")
     _check_out(out, debug, alone=workers == 1 and cluster is None)
     with busy("Loading the map"):
         localizer = options.open_localizer(open_map(prior_map), config, threads, weights)
@@ -90,17 +90,24 @@ def localize(
     priors = gnss_priors(prior, recording, positions, sequence, place, radius) if gnss else place
     queries = Queries(localizer, prior_map, recording, positions, priors)
     kept: dict[str, bytes] = {}
+    fault: SeglocError | None = None
     with progress("Localizing") as update, executing(workers, cluster) as executor:
         if debug:
             results, kept = localize_in_detail(queries, update)
         else:
-            results = queries.localize(executor, update)
+            results, fault = queries.localize(executor, update)
+    if fault is not None:
+        queries = queries.first(len(results))
+        note(f"{len(results)} of {len(positions)} queries come before a scan that cannot be read")
+    positions = queries.positions
     known = None if truths is None else truths[positions]
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     indices = recording.indices[positions]
     evaluation = Evaluation(indices, results, prior, known, tolerance)
     name = prior_map.rstrip("/").rsplit("/", 1)[-1]
     show_results(queries, evaluation, name, out, html, kept, json)
+    if fault is not None:
+        raise fault
 
 
 def _check_out(out: Path | None, debug: bool, alone: bool) -> None:

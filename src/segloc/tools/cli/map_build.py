@@ -59,7 +59,7 @@ def build(
     from .recording import check_fit, check_passes, open_recordings
 
     options.check_every(every)
-    checked_target(out)
+    checked_target(out, ".segmap")
     where = options.parsed_georeference(epsg, origin)
     settings = options.load_config(config, method, threads, weights)
     if compact:

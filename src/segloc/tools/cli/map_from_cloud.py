@@ -67,7 +67,7 @@ def from_cloud(
     from ..io.clouds import WHOLE, cloud_files, count_points, read_cloud
     from .map_info import save_and_show
 
-    checked_target(out)
+    checked_target(out, ".segmap")
     where = options.parsed_georeference(epsg, origin)
     settings = options.load_config(config, method, threads, weights)
     settings = options.with_level(settings, level, where)

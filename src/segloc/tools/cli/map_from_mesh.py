@@ -60,7 +60,7 @@ def from_mesh(
     from ..io.meshes import IFC_CLASSES, read_plan
     from .map_info import save_and_show
 
-    checked_target(out)
+    checked_target(out, ".segmap")
     settings = options.load_config(config, method, threads, weights)
     triangles = read_plan(plan, unit=unit, up=up, classes=ifc_class or IFC_CLASSES)
     with progress("Casting scans in the plan, and mapping them") as update:

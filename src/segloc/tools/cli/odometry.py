@@ -9,7 +9,7 @@ import typer
 
 from ...system.text import number
 from . import options
-from .console import progress, table
+from .console import busy, note, progress, table
 
 
 def odometry(
@@ -31,16 +31,23 @@ def odometry(
 
     from ... import geometry
     from ...system.files import checked_target
+    from ...types import Reposed
     from ..datasets import NO_POSES, RecordedSequence
     from ..datasets.odometry import compute_odometry, odometry_path
+    from ..doctor import pose_findings
     from .recording import open_recording
 
-    file = checked_target(out) if out is not None else odometry_path(sequence, topic)
+    file = (
+        checked_target(out, ".tum", ".txt") if out is not None else odometry_path(sequence, topic)
+    )
     recording = cast(
         RecordedSequence, open_recording(sequence, Path(NO_POSES), select, topic=topic)
     )
     with progress("Odometry") as update:
         poses = compute_odometry(recording, file, update).poses
+    with busy("Checking scans against poses"):
+        for finding in pose_findings(Reposed(recording, poses)):
+            note(str(finding))
     travelled = geometry.distance_travelled(poses)[-1]
     apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
     rows = [

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import ConfigError
+from ...errors import ConfigError, DatasetError, SeglocError
 from ...localization import Localization, Reason
 from ...localizer import Localizer
 from ...map.georeference import Georeference
@@ -39,13 +39,32 @@ class Queries:
     positions: Int64
     near: run.Priors
 
-    def localize(self, executor: Executor | None, update: Update) -> list[Localization]:
-        """Localize the queries in this process, or by an executor."""
+    def first(self, count: int) -> Queries:
+        """Return the first queries."""
+        near = self.near if self.near is None or isinstance(self.near, Prior) else self.near[:count]
+        return replace(self, positions=self.positions[:count], near=near)
+
+    def localize(
+        self, executor: Executor | None, update: Update
+    ) -> tuple[list[Localization], SeglocError | None]:
+        """Localize the queries in this process, or by an executor.
+
+        In this process, answers are kept up to a scan that cannot be read; its fault comes second.
+        """
         recording, positions, near = self.recording, self.positions, self.near
-        if executor is None:
-            return run.localize_sequence(self.localizer, recording, positions, update, near)
-        config = self.localizer.config
-        return run.localize_parts(self.where, config, recording, positions, executor, update, near)
+        if executor is not None:
+            given = self.where, self.localizer.config, recording, positions, executor
+            return run.localize_parts(*given, update, near), None
+        results: list[Localization] = []
+        try:
+            for result in run.localized(self.localizer, recording, positions, near):
+                results.append(result)
+                update(len(results), len(positions))
+        except DatasetError as error:
+            if not results:
+                raise
+            return results, error
+        return results, None
 
 
 def localize_in_detail(
@@ -134,12 +153,6 @@ def show_results(
             drawn = pictures(localizer.prior_map, evaluation, title)
     if out is not None:
         written = write_results(out, localizer.prior_map, evaluation, {**kept, **drawn})
-    if json:
-        print_json(evaluation)
-    else:
-        _show_answers(evaluation, f"{recording.name} in {name}")
-    if written and not json:
-        print(f"{out}: {', '.join(written)}")
     with busy("Diagnosing failures"):
         line = hint(
             recording,
@@ -148,12 +161,18 @@ def show_results(
             prior_map=localizer.prior_map,
             known=_describe_excluded(queries, evaluation.results),
         )
-    if line:
-        note(line)
     if html is not None:
         write_text(html, report.page(evaluation, title, drawn, [line] if line else []))
-        if not json:
+    if json:
+        print_json(evaluation)
+    else:
+        _show_answers(evaluation, f"{recording.name} in {name}")
+        if written:
+            print(f"{out}: {', '.join(written)}")
+        if html is not None:
             print(f"{html}: open it in a browser")
+    if line:
+        note(line)
 
 
 def _show_answers(evaluation: Evaluation, title: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import MissingDependency, SeglocError
 from ...map.georeference import KEY, Georeference
 from ...map.info import CLOUD_FRAME
-from ...system.files import checked_target, replacing
+from ...system.files import checked_target, replacing, require_permission
 from ...system.locks import exclusive
 from ...system.text import json_text
 from ...types import Float64, Int64
@@ -25,11 +25,19 @@ if TYPE_CHECKING:
     from ..batch.score import Evaluation
 
 
+_POSES, _SUMMARY = "poses.tum", "summary.json"
+_RESULTS = _POSES, "localizations.jsonl", "states.jsonl", "trajectory.png", "errors.png"
+"""Files of results, besides the summary."""
+
+
 def check_folder(out: Path) -> None:
-    """Reject a folder that cannot be created, before the work starts."""
+    """Reject a folder that cannot be written, or has poses of others, before the work starts."""
     nearest = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")
+    require_permission(out, nearest)
+    if (out / _POSES).exists() and not (out / _SUMMARY).exists():
+        raise SeglocError(f"{out}: its {_POSES} is no result of segloc: choose another folder")
 
 
 def write_results(
@@ -86,9 +94,9 @@ def _contents(evaluation: Evaluation, prior_map: SegmentMap) -> dict[str, bytes]
     found = evaluation.summary() | frame_facts(prior_map)
     summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
-        "poses.tum": _poses(evaluation),
+        _POSES: _poses(evaluation),
         "localizations.jsonl": "".join(lines).encode(),
-        "summary.json": summary.encode(),
+        _SUMMARY: summary.encode(),
     }
 
 
@@ -96,7 +104,7 @@ def tum_bytes(numbers: Int64, stamps: Float64 | None, poses: Float64) -> bytes:
     """Return a TUM file of poses by stamp, or else by scan number, with a remark."""
     keys = numbers.astype(np.float64) if stamps is None else stamps
     remark = "no times: the first column is the scan number" if stamps is None else ""
-    return tum_text("poses.tum", Trajectory(keys, poses), remark).encode()
+    return tum_text(_POSES, Trajectory(keys, poses), remark).encode()
 
 
 def _poses(evaluation: Evaluation) -> bytes:
@@ -118,7 +126,11 @@ def writing(out: Path) -> Iterator[None]:
 
 
 def write_together(out: Path, files: dict[str, bytes]) -> None:
-    """Write the files of a folder and its subfolders: all or none."""
+    """Write the results of a folder and its subfolders: all or none, in place of earlier ones."""
+    from ..inspect.results import DEBUG
+
+    old = [*(out / name for name in _RESULTS), *(out / DEBUG).glob("*.npz")]
+    stale = {path for path in old if path.is_file()} if (out / _SUMMARY).exists() else set()
     folders = sorted({(out / name).parent for name in files} | {out})
     made = [folder for folder in folders if not folder.exists()]
     for folder in made:
@@ -132,3 +144,5 @@ def write_together(out: Path, files: dict[str, bytes]) -> None:
             with suppress(OSError):
                 folder.rmdir()
         raise
+    for path in stale - {out / name for name in files}:
+        path.unlink(missing_ok=True)

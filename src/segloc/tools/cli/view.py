@@ -46,7 +46,7 @@ def view(
     from ..inspect.results import read_results
 
     if html is not None:
-        checked_target(html)
+        checked_target(html, ".html", ".htm")
     with busy("Loading"):
         prior = SegmentMap.load(prior_map)
         robot = results if results is not None and follows(results) else None

@@ -69,7 +69,7 @@ def lidar_odometry(
 
 def odometry_path(path: Path, topic: str | None = None) -> Path:
     """Return the file of stored odometry, beside the recording at ``path``."""
-    place = path.resolve()
+    place = path.absolute()  # links are kept
     part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
     return place.parent / f"{place.name}{part}.odometry.tum"
 
@@ -96,7 +96,10 @@ def compute_odometry(
     Raise DatasetError early if the file's folder is not writable, and as the odometry does.
     """
     if not os.access(file.parent, os.W_OK):
-        raise DatasetError(f"{file}: folder not writable: choose another file with --out")
+        raise DatasetError(
+            f"{file}: folder not writable: run `segloc odometry {recording.name} --out FILE.tum`, "
+            "and pass --poses FILE.tum"
+        )
     trajectory = lidar_odometry(recording, progress=progress)
     write_tum(file, trajectory)
     return trajectory

@@ -29,6 +29,7 @@ from ..datasets.signature import beam_axis, signature, turns_about_z
 from .finding import Fault, Finding
 
 _MIN_POINTS = 200  # of a scan
+_FEW_POINTS = 20  # of the largest scan: nothing stands there
 _LOWEST_M = 0.3
 _SMALL_UNITS = ((Fault.MILLIMETRES, 1000), (Fault.CENTIMETRES, 100))
 _USUAL_RANGE_MM = 2500.0
@@ -55,6 +56,12 @@ def scan_findings(
         True if the scans have poses, so that queries are accumulated.
     """
     config = config or LocalCloudConfig()
+    most = max(map(len, scans), default=_FEW_POINTS)
+    if most < _FEW_POINTS:
+        what = f"at most {most} points" if most else "no points"
+        where = "the scan" if len(scans) == 1 else f"any of the {len(scans)} scans"
+        remedy = "check what drops them: the driver, its filters, its limits of range"
+        return [Finding(Fault.READING, f"{what} in {where} read", remedy)]
     whole = [scan for scan in scans if len(scan) >= _MIN_POINTS]
     clouds = [level_points(scan, config) for scan in whole]
     seen = [each for points in clouds if (each := Surfaces.of(points)) is not None]

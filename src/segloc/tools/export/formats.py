@@ -50,7 +50,7 @@ class Format:
     text: str  # description
     # writes a source to a path with options; returns notes
     write: Callable[[Any, Path, Options], list[str]]
-    folder: bool = False  # True if the output is a folder
+    suffixes: tuple[str, ...] = ()  # of the output; none: it is a folder
 
     @property
     def requirement(self) -> str:
@@ -62,38 +62,53 @@ FORMATS = {
         (MapSource,),
         "the map's cloud, for PCL",
         lambda s, out, _: _write(s.prior_map, out, format_pcd),
+        (".pcd",),
     ),
     "ply": Format(
         (MapSource,),
         "the map's cloud, for viewers",
         lambda s, out, _: _write(s.prior_map, out, format_ply),
+        (".ply",),
     ),
     "laz": Format(
-        (MapSource,), "the map's cloud, for GIS", lambda s, out, _: write_laz(s.prior_map, out)
+        (MapSource,),
+        "the map's cloud, for GIS",
+        lambda s, out, _: write_laz(s.prior_map, out),
+        (".laz",),
     ),
     "autoware": Format(
         (MapSource,),
         "the map's cloud in PCD tiles with their metadata",
         lambda s, out, o: write_autoware(s.prior_map, out, o.tile_m),
-        folder=True,
     ),
     "nav2": Format(
         (MapSource,),
         "occupancy grids, map.pgm and map.yaml",
         lambda s, out, o: write_nav2(s.prior_map, out, o.grid),
-        folder=True,
     ),
     "g2o": Format(
-        (AlignedSource,), "poses, odometry and loops", lambda s, out, _: write_g2o(s, out)
+        (AlignedSource,),
+        "poses, odometry and loops",
+        lambda s, out, _: write_g2o(s, out),
+        (".g2o",),
     ),
     "loops": Format(
-        (AlignedSource,), "accepted loops, JSON lines", lambda s, out, _: write_loops(s, out)
+        (AlignedSource,),
+        "accepted loops, JSON lines",
+        lambda s, out, _: write_loops(s, out),
+        (".jsonl", ".json"),
     ),
-    "tum": Format(_ANY, "poses by time", lambda s, out, o: write_tum_files(s, out, o.in_cloud)),
+    "tum": Format(
+        _ANY,
+        "poses by time",
+        lambda s, out, o: write_tum_files(s, out, o.in_cloud),
+        (".tum", ".txt"),
+    ),
     "geojson": Format(
         _ANY,
         "drives as lines, poses found and viewpoints as points",
         lambda s, out, o: write_geojson(s, out, o.epsg, o.place, o.in_cloud),
+        (".geojson", ".json"),
     ),
 }
 
@@ -130,8 +145,8 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
     if not isinstance(source, form.of):
         raise ConfigError(f"{path}: --to {to} needs {form.requirement}, and this is {source.what}")
     target = Path(out)
-    if not form.folder and not (to == "tum" and isinstance(source, AlignedSource)):
-        checked_target(target)
+    if form.suffixes and not (to == "tum" and isinstance(source, AlignedSource)):
+        checked_target(target, *form.suffixes)
     return form.write(source, target, options or Options())
 
 

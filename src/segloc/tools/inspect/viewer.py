@@ -6,6 +6,7 @@ All need viser, and raise ``MissingDependency`` without it.
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -396,6 +397,8 @@ def _server(port: int) -> Any:
             server = viser.ViserServer(host="127.0.0.1", port=port, label="segloc", verbose=False)
     except OSError as error:
         raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
+    # A connection that is closed without a request is a traceback there.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(BLUE))
     server.scene.set_up_direction("+z")
     opened = server.initial_camera

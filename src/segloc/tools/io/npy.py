@@ -37,8 +37,9 @@ def parse_npz(data: bytes) -> Scan:
 
 
 def as_points(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
-    if array.ndim != 2 or array.shape[1] < 3:
-        raise DatasetError(f"points have shape {array.shape}, not (N, 3) or wider")
+    if array.ndim not in (2, 3) or array.shape[-1] < 3:
+        raise DatasetError(f"points have shape {array.shape}, not (N, 3) or wider, or (H, W, 3)")
+    array = array.reshape(-1, array.shape[-1])
     check_points(len(array))
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
