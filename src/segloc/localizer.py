@@ -24,7 +24,7 @@ from .proposals.first_sight import FirstSight
 from .proposals.matching import Matcher
 from .proposals.occupancy import OccupancyProposer, is_storeyed
 from .proposals.pose import PoseEstimator
-from .proposals.proposer import Estimator, Proposer, Query
+from .proposals.proposer import Estimator, Proposer, Query, proposals_of
 from .proposals.proposer import create as create_proposer
 from .system.stage_times import Clock, StageTimes
 from .types import Candidate, Descriptors, Float64, LocalCloud, Pose
@@ -337,7 +337,7 @@ class Localizer:
             yield candidates, False
             proposer = left.pop(0)
             with times("pose"):
-                proposed = within(near, proposer.propose(query, near))
+                proposed = within(near, proposals_of(proposer, query, near))
                 counted = ((c, agreed.inliers(c.T_map_local)) for c in proposed)
                 fresh = (replace(c, proposer=proposer.name, inliers=n) for c, n in counted)
                 candidates = [*candidates, *fresh]

@@ -114,7 +114,9 @@ def test_two_recordings_are_mapped_localized_and_reported(
     recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pair = (recordings / "map", recordings / "test_0")
-    evaluate("localization", *pair, "--out", tmp_path / "out", "--methods", "geo", "--workers", 1)
+    more = ("--methods", "geo", "--workers", 1, "--report", tmp_path / "report")
+    evaluate("localization", *pair, "--out", tmp_path / "out", *more)
+    assert "own query" in (tmp_path / "report" / "REPORT.md").read_text("utf-8")
     printed = capsys.readouterr().out
     assert "our estimator" in printed and "PROSAC" in printed and "own query" in printed
     tables = stored(tmp_path / "out")

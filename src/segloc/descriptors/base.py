@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
-from ..system.plugins import plugins
+from ..system.plugins import plugins, require_attributes
 from ..types import Descriptors, Float32, Int64, Segments
 
 
@@ -152,16 +152,21 @@ def create(name: str, threads: int = 0, weights: Path | None = None) -> Descript
     Raises
     ------
     ConfigError
-        If there is none, or it takes no weights.
+        If there is none, it takes no weights, or it is no descriptor of that name.
     WeightsError
         If the weights are missing or damaged.
     """
     factory = _entry(name).factory
     if weights is None:
-        return factory(threads)
-    if "weights" not in inspect.signature(factory).parameters:
+        made = factory(threads)
+    elif "weights" in inspect.signature(factory).parameters:
+        made = factory(threads, weights=weights)
+    else:
         raise ConfigError(f"{weights}: {name} takes no weights; leave out --weights")
-    return factory(threads, weights=weights)
+    require_attributes(f"descriptor {name!r}", made, ("name", "dim", "fingerprint", "encode"))
+    if made.name != name:  # maps name the descriptor by which they are found again
+        raise ConfigError(f"descriptor {name!r} calls itself {made.name!r}: rename one of them")
+    return made
 
 
 def preset(name: str) -> Mapping[str, Any]:
@@ -180,5 +185,6 @@ def _entry(name: str) -> _Entry:
     if name not in _entries and (fault := plugins(PLUGINS)[1].get(name)):
         raise ConfigError(f"descriptor {name!r} cannot be loaded ({fault})")
     if name not in _entries:
-        raise ConfigError(f"no method {name!r}; there are {', '.join(sorted(_entries))}")
+        known = ", ".join(sorted(_entries))
+        raise ConfigError(f"no method {name!r}: install its plug-in, or choose of {known}")
     return _entries[name]

@@ -100,7 +100,12 @@ def read_weights(
     """
     metadata, tensors = _read(path)
     if metadata.get("format") != f"segloc {kind}" or metadata.get("version") != _VERSION:
-        raise WeightsError(f"{path}: not a {kind} of format version {_VERSION}")
+        of = f"{metadata.get('format', '')} of version {metadata.get('version', '?')}"
+        held = of if of.startswith("segloc ") else "something else"
+        raise WeightsError(
+            f"{path}: not a {kind} of format version {_VERSION}, but {held:.60}: pass the weights "
+            "of the method, or its --method"
+        )
     for name, tensor in tensors.items():
         expected = np.dtype((dtypes or {}).get(name, np.float32))
         if tensor.dtype != expected:

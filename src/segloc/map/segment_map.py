@@ -395,6 +395,8 @@ class SegmentMap:
         SeglocError
             If a shape is wrong or a value is not finite; the map is then unchanged.
         """
+        if not isinstance(descriptors, Descriptors):
+            raise SeglocError(f"a descriptor gave {type(descriptors).__name__}, not Descriptors")
         count = len(descriptors)
         values: dict[str, ArrayLike | None] = {
             "vectors": descriptors.vectors,

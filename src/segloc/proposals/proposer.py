@@ -6,12 +6,14 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+
 from ..errors import ConfigError
 from ..frontend.segmentation import Segmentation, SegmentationConfig
 from ..map.config import BuildConfig
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
-from ..system.plugins import plugins
+from ..system.plugins import plugins, require_attributes
 from ..types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
 from .view import View
 
@@ -91,7 +93,27 @@ def create(name: str, prior_map: SegmentMap, config: BuildConfig) -> Proposer:
         known = ", ".join(sorted(factories)) or "none"
         raise ConfigError(f"no proposer {name!r}: install its package; installed are {known}")
     factory: Factory = factories[name]
-    return factory(prior_map, config)
+    made = factory(prior_map, config)
+    require_attributes(f"proposer {name!r}", made, ("name", "propose"))
+    return made
+
+
+def proposals_of(proposer: Proposer, query: Query, prior: Prior | None) -> list[Candidate]:
+    """Return what a proposer proposes.
+
+    Raises
+    ------
+    ConfigError
+        If it is no list of candidates with finite poses.
+    """
+    proposed = proposer.propose(query, prior)
+    for each in proposed:
+        if not isinstance(each, Candidate) or not np.isfinite(each.T_map_local).all():
+            raise ConfigError(
+                f"proposer {proposer.name!r} must return candidates with finite poses, not "
+                f"{' '.join(repr(each).split()):.60}"
+            )
+    return proposed
 
 
 class Estimator(Protocol):

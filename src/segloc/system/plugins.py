@@ -6,6 +6,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
+from ..errors import ConfigError
+
 
 @cache
 def plugins(group: str) -> tuple[dict[str, Any], dict[str, str]]:
@@ -26,3 +28,14 @@ def plugins(group: str) -> tuple[dict[str, Any], dict[str, str]]:
         except Exception as error:
             faults[entry.name] = f"{entry.value}: {error}"
     return loaded, faults
+
+
+def require_attributes(what: str, made: Any, names: tuple[str, ...]) -> None:
+    """Reject an object of a plug-in that lacks attributes.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if missing := [name for name in names if not hasattr(made, name)]:
+        raise ConfigError(f"{what}: {type(made).__name__} has no {', '.join(missing)}")

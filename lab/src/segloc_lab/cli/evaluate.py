@@ -178,7 +178,7 @@ _EXPLAINED = {
     "timing": "Measure the time of a query, stage by stage. (Table III)",
     "memory": "Measure the memory of training.",
     "all": "Run all studies, one after the other.\n\n"
-    "About half an hour on two idle cores at the small scale, five hours at the full scale.",
+    "About half an hour on two idle cores at the small scale, four hours of one at the full scale.",
 }
 
 Suite = Annotated[str, typer.Option(metavar="NAME", help="Suite of simulated test sets.")]
@@ -228,10 +228,10 @@ def _add(group: typer.Typer, name: str) -> None:
 
 def localization(
     mapped: Annotated[
-        Path | None, typer.Argument(metavar="[MAP", help="Own recording to map.")
+        Path | None, typer.Argument(metavar="MAP", help="Own recording to map.")
     ] = None,
     query: Annotated[
-        Path | None, typer.Argument(metavar="QUERY]", help="Own recording to localize in that map.")
+        Path | None, typer.Argument(metavar="QUERY", help="Own recording to localize in that map.")
     ] = None,
     out: Out = OUT,
     suite: Suite = "six",
@@ -277,11 +277,14 @@ def localization(
     from ..evaluation.comparison_study import compare
     from ..evaluation.scenario import Pair, PairScenario
     from ..evaluation.workspace import Workspace
+    from ..report import require_new
 
+    require_new(report)
     scenario = PairScenario(Pair(*files, every))
     with _workspace(Workspace, out, methods, 0, threads, workers, cluster) as space:
         study = compare(space, [scenario], "own", "Localization of your own recordings")
     _save(study, out)
+    _publish(report, [study])
 
 
 @contextmanager

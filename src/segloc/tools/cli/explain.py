@@ -38,7 +38,7 @@ def explain(
     topic: options.Topic = None,
     odometry: options.Odometry = False,
     config: options.ConfigFile = None,
-    weights: options.Weights = None,
+    weights: options.SameWeights = None,
     threads: options.Threads = 0,
 ) -> None:
     """Show the stages of one query, and why it is or is not localized.

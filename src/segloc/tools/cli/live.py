@@ -67,7 +67,7 @@ def live(
     odometry: options.Odometry = False,
     level: options.Level = False,
     config: options.ConfigFile = None,
-    weights: options.Weights = None,
+    weights: options.SameWeights = None,
     threads: options.Threads = 0,
 ) -> None:
     """Replay a recording through the online localizer, scan by scan.

@@ -55,7 +55,7 @@ def localize(
     odometry: options.Odometry = False,
     level: options.Level = False,
     config: options.ConfigFile = None,
-    weights: options.Weights = None,
+    weights: options.SameWeights = None,
     threads: options.Threads = 0,
     workers: options.Workers = 1,
     cluster: options.Cluster = None,

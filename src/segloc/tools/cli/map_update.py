@@ -67,7 +67,7 @@ def update(
     topic: options.Topic = None,
     deskew: options.Deskew = True,
     config: options.ConfigFile = None,
-    weights: options.Weights = None,
+    weights: options.SameWeights = None,
     threads: options.Threads = 0,
     unchecked: options.Unchecked = False,
 ) -> None:

@@ -115,11 +115,11 @@ Unchecked = Annotated[
 ]
 Weights = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Trained weights, instead of the shipped ones.",
-        show_default="the shipped ones",
-    ),
+    typer.Option(metavar="FILE", help="Trained weights.", show_default="the shipped ones"),
+]
+SameWeights = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="File of the map's weights.", show_default="where they were"),
 ]
 
 Near = Annotated[
