@@ -12,7 +12,6 @@
 #include "proposals/pose/consensus.h"
 #include "proposals/pose/consistency.h"
 #include "proposals/pose/match_table.h"
-#include "proposals/pose/pose_votes.h"
 #include "proposals/pose/prosac.h"
 
 namespace segloc::bindings {
@@ -86,37 +85,9 @@ auto consensus_(const In2<double>& query, const In2<double>& map,
                          to_numpy(std::move(inliers)), to_numpy(std::move(scores)));
 }
 
-auto pose_votes_(const In2<double>& query, const In2<double>& map,
-                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,
-                 double tolerance, double distinct_radius, std::size_t max_cells, int threads) {
-  require_matches(query, map, match_query, match_map);
-  require_between(tolerance, 0.0, 1e6, "tolerance");
-  require_between(distinct_radius, 0.0, kLongest, "distinct_radius");
-  const MatchInput input = {query.data(),       query.shape(0),   map.data(),
-                            match_query.data(), match_map.data(), match_query.shape(0)};
-  VoteOptions options;
-  options.tolerance = tolerance;
-  options.max_cells = max_cells;
-  const double origin[3] = {0.0, 0.0, 0.0};
-  PoseVotes found;
-  {
-    nb::gil_scoped_release release;
-    found = vote_for_poses(make_match_table(input, origin, distinct_radius), options, threads);
-  }
-  std::vector<std::int64_t> votes;
-  std::vector<double> poses;
-  for (const PoseCell& cell : found.cells) {
-    votes.push_back(cell.votes);
-    poses.insert(poses.end(), {cell.yaw, cell.x, cell.y});
-  }
-  const std::size_t count = votes.size();
-  return std::make_tuple(to_numpy(std::move(votes)), to_numpy(std::move(poses), {count, 3}),
-                         found.width, found.turn);
-}
-
 auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::int64_t>& match_query,
-             const In1<std::int64_t>& match_map, bool ordered, bool yaw_only, double edge_tolerance,
-             double inlier_tolerance, double min_edge, double chance, double separation,
+             const In1<std::int64_t>& match_map, bool ordered, double edge_tolerance, double inlier_tolerance,
+             double min_edge, double chance, double separation,
              double separation_deg, std::size_t max_draws, std::size_t max_hypotheses,
              std::uint64_t seed) {
   require_matches(query, map, match_query, match_map);
@@ -129,7 +100,6 @@ auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::in
   require(max_draws <= kMostDraws, "max_draws must be at most " + std::to_string(kMostDraws));
   ProsacOptions options;
   options.ordered = ordered;
-  options.yaw_only = yaw_only;
   options.edge_tolerance = edge_tolerance;
   options.inlier_tolerance = inlier_tolerance;
   options.min_edge = min_edge;
@@ -244,15 +214,11 @@ void bind_pose(nb::module_& m) {
         nb::arg("separation"), nb::arg("separation_deg"), nb::arg("max_refined"),
         nb::arg("max_hypotheses"), nb::arg("threads"));
 
-  m.def("pose_votes", &pose_votes_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
-        nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("tolerance"),
-        nb::arg("distinct_radius"), nb::arg("max_cells"), nb::arg("threads"));
-
   m.def("prosac", &prosac_, nb::arg("query").noconvert(), nb::arg("map").noconvert(),
         nb::arg("match_query").noconvert(), nb::arg("match_map").noconvert(), nb::arg("ordered"),
-        nb::arg("yaw_only"), nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"),
-        nb::arg("min_edge"), nb::arg("chance"), nb::arg("separation"), nb::arg("separation_deg"),
-        nb::arg("max_draws"), nb::arg("max_hypotheses"), nb::arg("seed"));
+        nb::arg("edge_tolerance"), nb::arg("inlier_tolerance"), nb::arg("min_edge"),
+        nb::arg("chance"), nb::arg("separation"), nb::arg("separation_deg"), nb::arg("max_draws"),
+        nb::arg("max_hypotheses"), nb::arg("seed"));
 
   m.def("consistent_sets", &consistent_sets_, nb::arg("query").noconvert(),
         nb::arg("map").noconvert(), nb::arg("match_query").noconvert(),

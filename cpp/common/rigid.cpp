@@ -54,12 +54,7 @@ std::array<double, 9> rotation_of(const std::array<double, 4>& q) {
           2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
 }
 
-std::array<double, 9> best_rotation(const double S[3][3], bool yaw_only) {
-  if (yaw_only) {
-    const double yaw = std::atan2(S[0][1] - S[1][0], S[0][0] + S[1][1]);
-    const double c = std::cos(yaw), s = std::sin(yaw);
-    return {c, -s, 0, s, c, 0, 0, 0, 1};
-  }
+std::array<double, 9> best_rotation(const double S[3][3]) {
   const Matrix4 N = {{
       {S[0][0] + S[1][1] + S[2][2], S[1][2] - S[2][1], S[2][0] - S[0][2], S[0][1] - S[1][0]},
       {S[1][2] - S[2][1], S[0][0] - S[1][1] - S[2][2], S[0][1] + S[1][0], S[2][0] + S[0][2]},
@@ -107,8 +102,7 @@ void append_matrix(const Rigid& T, std::vector<double>& values) {
   values.insert(values.end(), {0, 0, 0, 1});
 }
 
-Rigid fit_rigid(const double* source, const double* target, const std::vector<std::size_t>& index,
-                bool yaw_only) {
+Rigid fit_rigid(const double* source, const double* target, const std::vector<std::size_t>& index) {
   double a[3] = {0, 0, 0}, b[3] = {0, 0, 0};
   for (const std::size_t i : index) {
     for (int k = 0; k < 3; ++k) {
@@ -124,7 +118,7 @@ Rigid fit_rigid(const double* source, const double* target, const std::vector<st
     }
   }
   Rigid T;
-  T.R = best_rotation(S, yaw_only);
+  T.R = best_rotation(S);
   const auto moved = T.apply(a);
   for (int k = 0; k < 3; ++k) T.t[k] = b[k] - moved[k];
   return T;

@@ -28,9 +28,7 @@ std::array<double, 9> orthonormal(std::array<double, 9> R);
 void append_matrix(const Rigid& T, std::vector<double>& values);
 
 // The transform that takes source[index[i]] closest to target[index[i]] (both (n, 3) row-major).
-// Horn's closed form by quaternions (JOSA A, 1987): always a rotation, never a reflection. With
-// yaw_only, the rotation is about z.
-Rigid fit_rigid(const double* source, const double* target, const std::vector<std::size_t>& index,
-                bool yaw_only);
+// Horn's closed form by quaternions (JOSA A, 1987): always a rotation, never a reflection.
+Rigid fit_rigid(const double* source, const double* target, const std::vector<std::size_t>& index);
 
 }  // namespace segloc

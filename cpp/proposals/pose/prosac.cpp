@@ -26,13 +26,15 @@ class Random {
   std::uint64_t state_;
 };
 
+constexpr std::size_t kSample = 3;  // matches that fix a pose
+
 // The growing pool of the paper: how many of the best matches the t-th sample is drawn from.
 class Pool {
  public:
-  Pool(std::size_t total, std::size_t m, double max_draws, bool ordered)
-      : total_(total), m_(m), n_(ordered ? m : total), ordered_(ordered) {
+  Pool(std::size_t total, double max_draws, bool ordered)
+      : total_(total), n_(ordered ? kSample : total), ordered_(ordered) {
     drawn_ = max_draws;
-    for (std::size_t i = 0; i < m; ++i) drawn_ *= double(m - i) / double(total - i);
+    for (std::size_t i = 0; i < kSample; ++i) drawn_ *= double(kSample - i) / double(total - i);
   }
 
   // Advances to draw t (from 1). Returns whether the newest match of the pool must be in the
@@ -41,7 +43,7 @@ class Pool {
   bool advance(std::size_t t) {
     if (!ordered_) return false;
     while (t > limit_ && n_ < total_) {
-      const double next = drawn_ * double(n_ + 1) / double(n_ + 1 - m_);
+      const double next = drawn_ * double(n_ + 1) / double(n_ + 1 - kSample);
       limit_ += static_cast<std::size_t>(std::ceil(next - drawn_));
       drawn_ = next;
       ++n_;
@@ -52,7 +54,7 @@ class Pool {
   std::size_t size() const { return n_; }
 
  private:
-  std::size_t total_, m_, n_;
+  std::size_t total_, n_;
   bool ordered_;
   double drawn_;           // T_n
   std::size_t limit_ = 1;  // T'_n
@@ -68,20 +70,20 @@ class Search {
  public:
   Search(const double* source, const double* target, const std::int64_t* query_id,
          const std::int64_t* map_id, std::size_t n, const ProsacOptions& o)
-      : source_(source), target_(target), n_(n), m_(o.yaw_only ? 2 : 3), o_(o), random_(o.seed) {
+      : source_(source), target_(target), n_(n), o_(o), random_(o.seed) {
     number(query_id, query_);
     number(map_id, map_);
   }
 
   std::vector<SampledHypothesis> run() {
-    Pool pool(n_, m_, double(o_.max_draws), o_.ordered);
+    Pool pool(n_, double(o_.max_draws), o_.ordered);
     double needed = double(o_.max_draws);
-    std::vector<std::size_t> sample(m_);
+    std::vector<std::size_t> sample(kSample);
     for (std::size_t t = 1; t <= o_.max_draws && double(t) <= needed; ++t) {
       const bool newest = pool.advance(t);
       if (!draw(pool.size(), newest, sample)) continue;
       const std::size_t before = best_;
-      consider(fit_rigid(source_, target_, sample, o_.yaw_only));
+      consider(fit_rigid(source_, target_, sample));
       if (best_ > before) needed = std::min(needed, draws_needed());
     }
     return std::move(found_);
@@ -100,14 +102,14 @@ class Search {
 
   // Draws a sample; false if its edges do not agree, which rejects nearly all wrong ones unfitted.
   bool draw(std::size_t pool, bool newest, std::vector<std::size_t>& sample) {
-    for (std::size_t i = 0; i < m_; ++i) {
+    for (std::size_t i = 0; i < kSample; ++i) {
       const bool fixed = newest && i == 0;
       sample[i] = fixed ? pool - 1 : random_.below(newest ? pool - 1 : pool);
       for (std::size_t j = 0; j < i; ++j) {
         if (!edges_agree(sample[i], sample[j])) return false;
       }
     }
-    return m_ == 2 || !collinear(sample);
+    return !collinear(sample);
   }
 
   bool edges_agree(std::size_t i, std::size_t j) const {
@@ -142,9 +144,9 @@ class Search {
   // Local optimisation: a promising pose is refitted to its own inliers while that gains any.
   void consider(Rigid T) {
     collect(T, inliers_);
-    if (inliers_.size() < m_ || 2 * inliers_.size() < best_) return;
+    if (inliers_.size() < kSample || 2 * inliers_.size() < best_) return;
     for (int round = 0; round < 5; ++round) {
-      const Rigid refitted = fit_rigid(source_, target_, inliers_, o_.yaw_only);
+      const Rigid refitted = fit_rigid(source_, target_, inliers_);
       collect(refitted, refit_);
       if (refit_.size() < inliers_.size()) break;
       const bool gained = refit_.size() > inliers_.size();
@@ -193,11 +195,11 @@ class Search {
     std::size_t next = 0;
     for (std::size_t n = 1; n <= n_; ++n) {
       if (next < best_inliers_.size() && best_inliers_[next] == n - 1) ++next;
-      if (n <= m_ || (!o_.ordered && n < n_)) continue;
+      if (n <= kSample || (!o_.ordered && n < n_)) continue;
       const double b = o_.chance, pool = double(n);
-      const double by_chance = double(m_) + pool * b + std::sqrt(2.706 * pool * b * (1.0 - b));
+      const double by_chance = double(kSample) + pool * b + std::sqrt(2.706 * pool * b * (1.0 - b));
       if (double(next) < std::ceil(by_chance)) continue;
-      const double all_good = std::pow(double(next) / pool, double(m_));
+      const double all_good = std::pow(double(next) / pool, double(kSample));
       const double draws = all_good >= 1.0 ? 1.0 : std::log(o_.missed) / std::log1p(-all_good);
       fewest = std::min(fewest, draws);
     }
@@ -205,7 +207,7 @@ class Search {
   }
 
   const double *source_, *target_;
-  std::size_t n_, m_;
+  std::size_t n_;
   const ProsacOptions& o_;
   Random random_;
   std::vector<std::uint32_t> query_, map_;
@@ -221,7 +223,7 @@ class Search {
 std::vector<SampledHypothesis> prosac(const double* source, const double* target,
                                       const std::int64_t* query_id, const std::int64_t* map_id,
                                       std::size_t n, const ProsacOptions& options) {
-  if (n < (options.yaw_only ? 2u : 3u)) return {};
+  if (n < kSample) return {};
   return Search(source, target, query_id, map_id, n, options).run();
 }
 

@@ -12,7 +12,6 @@ namespace segloc {
 struct ProsacOptions {
   // Their values have one home: PoseConfig of the Python package.
   bool ordered;             // false: RANSAC, every sample from all matches
-  bool yaw_only;            // yaw and translation from 2 matches; else SE(3) from 3
   double edge_tolerance;    // edges of a sample must agree to this, metres
   double inlier_tolerance;  // metres
   double min_edge;          // shorter edges make a sample degenerate, metres

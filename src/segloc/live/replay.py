@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import geometry
+from ..errors import DatasetError
 from ..localizer import Localizer
 from ..tracking.belief import Status
 from ..types import Float64, Int64, Recording
@@ -59,6 +60,8 @@ class Replay:
         Time from the arrival of a scan until it was used, and until its query was answered.
     scans, dropped : int
         Scans used, and dropped.
+    fault : DatasetError or None
+        Fault of the scan at which the replay ended, before its end.
     """
 
     states: dict[int, State]
@@ -66,6 +69,7 @@ class Replay:
     query_ms: Float64
     scans: int
     dropped: int
+    fault: DatasetError | None = None
 
     @property
     def positions(self) -> Int64:
@@ -155,7 +159,7 @@ def play(
     Raises
     ------
     DatasetError
-        If a scan cannot be read.
+        If the first scan cannot be read; at a later one the replay ends.
     MissingDependency
         If there are no poses, and kiss-icp is not installed.
     """
@@ -163,6 +167,7 @@ def play(
     listener = _Listener(clock, on_state)
     alone, observed = poses is None, heights or [None] * len(recording)
     progress = progress or (lambda done, total: None)
+    fault, missed = None, 0
     if rate > 0:
         with LiveLocalizer(
             localizer,
@@ -172,16 +177,24 @@ def play(
             keeper=keeper,
             on_state=listener,
         ) as live:
-            missed = _in_time(live, recording, clock, rate, poses, observed, progress)
+            try:
+                missed = _in_time(live, recording, clock, rate, poses, observed, progress)
+            except DatasetError as error:
+                fault = error
             scans, dropped = live.scans, live.dropped + missed
     else:
         core = LiveCore(localizer, config, np.eye(4), lidar_odometry=alone, keeper=keeper)
-        _in_turn(core, recording, clock, poses, observed, listener, progress)
+        try:
+            _in_turn(core, recording, clock, poses, observed, listener, progress)
+        except DatasetError as error:
+            fault = error
         scans, dropped = core.scans, core.dropped
     if keeper is not None:
         keeper.flush()
+    if fault is not None and not listener.states:
+        raise fault
     times = np.array(listener.latency_ms), np.array(listener.query_ms)
-    return Replay(listener.states, *times, scans, dropped)
+    return Replay(listener.states, *times, scans, dropped, fault)
 
 
 def _in_turn(

@@ -159,7 +159,6 @@ class PoseEstimator:
             matches.query,
             matches.map,
             ordered=config.estimator == "prosac",
-            yaw_only=False,
             edge_tolerance=config.edge_tolerance,
             inlier_tolerance=config.inlier_tolerance,
             min_edge=config.min_edge,

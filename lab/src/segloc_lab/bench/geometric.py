@@ -240,7 +240,7 @@ def prosac(problem: MatchProblem) -> Float64:
     """Poses by PROSAC with the defaults of the configuration."""
     names = {"edge_tolerance", "inlier_tolerance", "min_edge", "chance", "max_draws"}
     options = _options(names)
-    return kernels.prosac(*_matched(problem), ordered=True, yaw_only=False, seed=0, **options)[0]
+    return kernels.prosac(*_matched(problem), ordered=True, seed=0, **options)[0]
 
 
 def _matched(problem: MatchProblem) -> tuple[Float64, Float64, Int64, Int64]:

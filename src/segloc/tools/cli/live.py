@@ -113,6 +113,8 @@ def live(
     fits = correct(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts, fits))
     _show(facts, f"{recording.name} in {prior_map.name}")
+    if played.fault is not None:
+        raise played.fault
 
 
 def _settings(every_m: float, rate: float) -> Any:
