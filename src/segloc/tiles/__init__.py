@@ -7,9 +7,6 @@ A tile is a map by itself. It owns its square, and holds what a sensor sees from
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from ..system import lazy
 from .change import merge_into_tiles, update_tiles
 from .cut import cut_tiles
 from .index import INDEX
@@ -28,15 +25,3 @@ __all__ = [
     "open_map",
     "update_tiles",
 ]
-
-if TYPE_CHECKING:
-    from .cut import write_tile as write_tile
-    from .store import store_of as store_of
-else:
-    __getattr__, __dir__ = lazy(
-        __name__,
-        {
-            "cut": "write_tile",
-            "store": "store_of",
-        },
-    )
