@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 from samples.walk import as_folder, run
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from segloc import Config, MemoryRecording, Scan, SeglocError, SegmentMap, build_map, geometry
 from segloc.errors import DatasetError, MapMismatch
@@ -19,6 +21,7 @@ from segloc.joining.visibility import VisibilityConfig, visibility
 from segloc.loops import Reposed
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
+from segloc.types import Descriptors
 
 pytestmark = pytest.mark.slow
 
@@ -244,3 +247,33 @@ def test_a_map_that_is_updated_again_and_again_hardly_grows(first: PlazaSequence
         sizes.append(len(bounded))
     assert sizes[4] - sizes[2] < 0.5 * (sizes[2] - sizes[0])
     assert len(every) > 1.5 * len(bounded)
+
+
+def test_a_session_in_the_frame_of_a_levelled_map_is_not_levelled_again(
+    first: PlazaSequence,
+) -> None:
+    """Even if what it sees leans."""
+    tilt = geometry.rigid(Rotation.from_euler("y", 2.0, degrees=True).as_matrix(), np.zeros(3))
+    mapping = CONFIG.mapping.model_copy(update={"level": True})
+    tilted = Reposed(first, tilt @ first.poses)
+    site = build_map(tilted, CONFIG.model_copy(update={"mapping": mapping}))
+    T_map_odom = np.array(json.loads(site.metadata["T_map_odom"]))
+    leaning = Reposed(first, geometry.inverse(tilt) @ T_map_odom @ tilted.poses)
+    updated, _ = update_map(site, leaning, unchecked=True)
+    new = updated.trajectory[len(site.trajectory) :]
+    assert len(new) and all(np.abs(leaning.poses - T).max(axis=(1, 2)).min() < 1e-9 for T in new)
+
+
+def test_no_session_gets_the_number_of_one_that_is_gone(later: PlazaSequence) -> None:
+    site = build_map(PlazaSequence(scene(changed=False), steps=8), CONFIG)
+    gone = np.array([0.0, 0.0, 1.0])
+    ghost = SegmentMap.empty(
+        site.descriptor, site.fingerprint, site.dim, site.origin, cloud_voxel=site.cloud_voxel
+    )
+    one = Descriptors(site.vectors[:1], None if site.quality is None else site.quality[:1])
+    cloud = gone + np.random.default_rng(0).uniform(-0.4, 0.4, (60, 3))
+    ghost.add(one, gone[None], [60], session=0, stamp=5000.0, cloud=cloud)
+    both = site.merge(ghost)
+    assert both.session.max() == 1
+    updated, counts = update_map(both, later, CONFIG, UpdateConfig(max_missed=1), unchecked=True)
+    assert counts.removed >= 1 and set(np.unique(updated.session)) == {0, 2}

@@ -199,3 +199,15 @@ def test_wrong_input_is_refused_and_changes_nothing(localizer: Localizer) -> Non
     assert core.add_scan(Scan(np.zeros((3, 3))), 0.0)
     core.add_odometry(1.0, far)
     assert core.add_scan(Scan(np.zeros((3, 3))), 1.0)
+
+
+def test_odometry_that_is_always_late_covers_some_of_the_scans(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """At 20 Hz, with odometry a quarter of a second late: five scans wait, of at most four."""
+    scan, T = plaza.scan(geometry.yaw_transform(0.0, (-14.0, 1.0, 1.8)), posed=False), np.eye(4)
+    core = LiveCore(localizer, CONFIG)
+    for k in range(40):
+        core.add_odometry(100.0 + 0.05 * k - 0.25, T)
+        core.add_scan(Scan(scan.points), 100.0 + 0.05 * k)
+    assert core.scans > 10 and core.scans + core.dropped >= 34

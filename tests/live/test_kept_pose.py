@@ -10,7 +10,7 @@ import pytest
 from samples.plaza import Plaza
 from samples.streams import T_MAP_ODOM, error_m, feed, walked
 
-from segloc import Localizer, geometry
+from segloc import Localizer, SegmentMap, geometry
 from segloc.live import LiveCore, PoseKeeper, State
 from segloc.types import Pose
 
@@ -81,3 +81,29 @@ def test_a_pose_that_cannot_be_used_is_explained(
     keeper = PoseKeeper(tmp_path / "no" / "folder.json")
     drive(localizer, plaza, keeper)
     assert any("pose not kept" in note for note in keeper.notes)
+
+
+def test_a_check_ends_with_its_time_and_its_map(
+    localizer: Localizer, plaza: Plaza, tmp_path: Path
+) -> None:
+    file, still = tmp_path / "pose.json", np.eye(4)
+    drive(localizer, plaza, PoseKeeper(file))
+
+    def checking() -> PoseKeeper:
+        keeper = PoseKeeper(file)
+        keeper.use(localizer.prior_map)
+        assert keeper.near(1e4, still, still) is not None
+        keeper.use(localizer.prior_map)  # loaded again
+        assert keeper.near(1e4 + 1.0, still, still) is not None
+        return keeper
+
+    assert checking().near(1e4 - 7200.0, still, still) is None  # the clock was set back
+    keeper, other = checking(), SegmentMap.load(saved(localizer.prior_map, tmp_path))
+    other.origin[:] += 1000.0
+    keeper.use(other)
+    assert keeper.near(1e4 + 2.0, still, still) is None
+
+
+def saved(prior_map: SegmentMap, folder: Path) -> Path:
+    prior_map.save(folder / "copy.segmap")
+    return folder / "copy.segmap"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -179,3 +180,23 @@ def test_a_recording_that_is_replayed_faster_is_the_same_drive(
     replay = play(localizer, drive, CONFIG, rate=10.0, on_state=lambda _, state: said.append(state))
     assert replay.scans > 0
     assert not any("jumped" in str(state.reason) for state in said)
+
+
+def test_it_may_be_closed_by_whoever_hears_of_a_state(localizer: Localizer, plaza: Plaza) -> None:
+    """While its other thread has work."""
+    closed = threading.Event()
+
+    def on_state(state: State) -> None:
+        if state.status is Status.LOCALIZED and not closed.is_set():
+            time.sleep(0.3)  # the other waits for the core by now
+            live.close()
+            closed.set()
+
+    live = LiveLocalizer(localizer, CONFIG, on_state=on_state)
+    for events, _ in walked(plaza, 40):
+        for event in events:
+            if not closed.is_set():
+                with contextlib.suppress(LiveError):  # closed meanwhile
+                    put(live, event)
+        time.sleep(0.02)
+    assert closed.wait(10.0)

@@ -58,6 +58,16 @@ def test_a_short_session_in_memory_is_brought_there_too(
 
 
 @pytest.mark.slow
+def test_a_robot_that_stands_is_brought_there_too(
+    prior_map: SegmentMap, tuesday: SampleDrive
+) -> None:
+    for count in (1, 4):
+        scans = [Scan(tuesday.scan(20).points, T_odom_sensor=np.eye(4)) for _ in range(count)]
+        found = align_to_map(prior_map, [scans], CONFIG)
+        assert errors_m(found.poses[0], tuesday.truth[20:21]).max() < 0.3
+
+
+@pytest.mark.slow
 def test_what_does_not_meet_the_map_is_refused(prior_map: SegmentMap, tuesday: SampleDrive) -> None:
     other = sample.load("elsewhere")
     elsewhere = drifted(other, other.truth, 4)

@@ -275,3 +275,18 @@ def test_a_wrong_trajectory_is_named_and_changes_nothing(poses: Any) -> None:
     with pytest.raises(SeglocError, match=r"poses must be numbers|trajectory: row 0 is not"):
         prior_map.add_trajectory(poses)
     assert_same(prior_map, make_map(1))
+
+
+def test_an_empty_map_adds_no_origin() -> None:
+    empty, filled = make_map(origin=np.zeros(3)), make_map(1, 2)
+    for merged in (empty.merge(filled), filled.merge(empty)):
+        assert np.array_equal(merged.cloud, filled.cloud)
+        assert np.array_equal(merged.origin, filled.origin)
+
+
+def test_a_stray_point_is_refused_and_the_map_stays() -> None:
+    prior_map = make_map(1)
+    before = prior_map.cloud.copy()
+    with pytest.raises(SeglocError, match="spans more than"):
+        prior_map.add_cloud(UTM + [[9e5, 0.0, 0.0]])
+    assert np.array_equal(prior_map.cloud, before)

@@ -75,6 +75,10 @@ def test_what_moves_is_interpolated_and_never_made_up() -> None:
     assert tree.at("odom", "base", 11.0) is None  # forgotten
     tree.add([Transform(20.0, "odom", "foot", A)], False)  # the clock was set back
     assert tree.newest("odom", "base") == 20.0
+    tree.add([Transform(19.5, "odom", "foot", A)], False)  # late
+    assert tree.newest("odom", "base") == 20.0
+    tree.add([Transform(18.0, "odom", "foot", A)], False)  # back by a little more
+    assert tree.newest("odom", "base") == 18.0
 
 
 def test_nonsense_in_tf_is_passed_over() -> None:

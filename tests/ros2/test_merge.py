@@ -41,3 +41,11 @@ def test_a_silent_lidar_is_not_waited_for() -> None:
     assert [len(merged) for merged in told] == [0, 0, 0, 1, 1, 1, 1, 1]
     assert told[3][0].scan is scan and merger.missing == ("rear",)
     assert merger.add("front", MountedScan(-50.0, scan, FRONT)) == []  # the clock was set back
+
+
+def test_a_lidar_on_another_clock_is_not_waited_for() -> None:
+    merger, scan, told = ScanMerger("front", ["rear"], wait_s=0.25), Scan(np.ones((9, 3))), 0
+    for k in range(8):
+        told += len(merger.add("front", MountedScan(100.0 + 0.1 * k, scan, FRONT)))
+        told += len(merger.add("rear", MountedScan(0.1 * k, scan, REAR)))
+    assert told >= 5 and merger.missing == ("rear",)

@@ -34,6 +34,7 @@ from segloc_ros.core.replies import (
     OdometryReply,
     PoseReply,
 )
+from segloc_ros.core.trigger import Trigger
 
 from segloc import ConfigError, InvalidScan, Localizer, Prior, geometry
 from segloc.frontend.mounting import rotation
@@ -685,3 +686,87 @@ def test_odometry_of_clouds_goes_on_after_the_clock_is_set_back(
                     listener.cloud(event.stamp, event.scan.points)
         counts.append(len(listener.of_kind(OdometryReply)))
     assert counts == [12, 24]
+
+
+@pytest.mark.parametrize("first", ["odometry", "cloud"])
+def test_a_robot_that_is_switched_off_and_on_keeps_no_pose_of_before(
+    localizer: Localizer, plaza: Plaza, first: str
+) -> None:
+    """The clock and the odometry begin anew, whichever of both comes first."""
+    listener = Listener.mounted(localizer, trigger="until_localized")
+    truth, robot = listener.walk(plaza, 6), listener.robot
+    points = [plaza.scan(truth @ MOUNT, posed=False, seed=k).points for k in range(4)]
+    if first == "cloud":
+        listener.cloud(10.0, points[0])
+    for k, cloud in enumerate(points):
+        listener.odometry(10.1 + 0.4 * k, np.eye(4))
+        listener.cloud(10.2 + 0.4 * k, cloud)
+        listener.odometry(10.3 + 0.4 * k, np.eye(4))
+        assert robot.T_map_odom is None or off_m(robot.T_map_odom, truth) < 0.5
+    assert robot.jumps == 1 and robot.T_map_odom is not None
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_jump_of_the_odometry_moves_map_to_odom_at_once(
+    localizer: Localizer, plaza: Plaza, smooth: bool
+) -> None:
+    listener = Listener.mounted(localizer, smooth_tf=smooth)
+    truth = listener.walk(plaza, 6)
+    here = geometry.inverse(T_MAP_ODOM) @ truth
+    moved = here @ geometry.yaw_transform(1.7, (0.0, 2.0, 0.0))
+    listener.odometry(106.0, here)
+    listener.clear()
+    for k in range(1, 4):
+        listener.odometry(106.0 + 0.02 * k, moved)
+    last = listener.of_kind(MapToOdom)[-1].transform
+    assert off_m(last.T_parent_child @ moved, truth) < 0.7
+
+
+def test_clouds_that_are_repeated_or_late_lose_no_odometry(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    listener = Listener.mounted(localizer, odometry="kiss-icp")
+    clouds = [
+        event for events, _ in walked(plaza, 8, step=0.5, every_s=0.1) for event in events
+        if event.scan is not None
+    ]  # fmt: skip
+    for event in clouds:
+        listener.cloud(event.stamp, event.scan.points)
+    before = len(listener.of_kind(OdometryReply))
+    for late_s in (0.0, 0.03):
+        listener.cloud(clouds[-1].stamp - late_s, clouds[-1].scan.points)
+    assert len(listener.of_kind(OdometryReply)) == before and listener.robot.jumps == 0
+
+
+def test_a_robot_at_rest_keeps_its_pose_while_it_is_checked(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    """After a way without queries, along which nothing supported the pose."""
+    listener = Listener.mounted(localizer, trigger="until_localized")
+    truth, robot = listener.walk(plaza, 4), listener.robot
+    here = geometry.inverse(T_MAP_ODOM) @ truth
+    stamp = 110.0
+    for k in range(480):
+        stamp += 0.4
+        moved = geometry.yaw_transform(0.0, (0.5 * min(k % 80, 80 - k % 80), 0.0, 0.0))
+        listener.odometry(stamp, here @ moved)
+        if k % 5 == 0:
+            scan = plaza.scan(truth @ moved @ MOUNT, posed=False, seed=k)
+            listener.cloud(stamp - 0.1, scan.points)
+    assert not robot.state.localized
+    assert robot.trigger.resting and robot.T_map_odom is not None
+    robot.request_update()
+    assert robot.T_map_odom is not None
+    listener.clear()
+    for k in range(4):
+        listener.odometry(stamp + 0.4 * (k + 1), here)
+        listener.cloud(stamp + 0.4 * (k + 1), plaza.scan(truth @ MOUNT, posed=False, seed=k).points)
+        listener.odometry(stamp + 0.4 * (k + 1) + 0.1, here)
+    assert robot.trigger.resting and off_m(robot.T_map_odom @ here, truth) < 0.3
+
+
+def test_a_click_is_used_for_some_seconds_by_any_clock() -> None:
+    trigger = Trigger("periodic", 5.0)
+    trigger.wake(Prior((0.0, 0.0), 10.0))
+    assert trigger.near(1000.0) is not None and trigger.near(1004.0) is not None
+    assert trigger.near(1.0) is None and trigger.near(1004.0) is None

@@ -21,7 +21,7 @@ from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_
 from segloc.errors import ConfigError, MapFormatError, SeglocError
 from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
-from segloc.map.segment_map import along, with_parts
+from segloc.map.segment_map import along, part_where, with_parts
 from segloc.tiles import (
     TiledLocalizer,
     TiledMap,
@@ -511,3 +511,29 @@ def test_a_scan_of_few_segments_is_found_in_many_tiles(
     found = TiledLocalizer(TiledMap(tmp_path), GEO).localize(close)
     assert found.localized and found.counts["segments"] < 10
     assert np.allclose(found.T_map_sensor, TRUE, atol=0.3)
+
+
+def test_a_map_without_a_trajectory_is_merged_whole(whole: SegmentMap, tmp_path: Path) -> None:
+    middle = float(np.median(whole.centroids[:, 0]))
+    left = part_where(whole, lambda places: places[:, 0] < middle)
+    right = along(part_where(whole, lambda places: places[:, 0] >= middle), np.empty((0, 4, 4)))
+    cut_tiles(left, tmp_path / "tiles", size_m=50.0, margin_m=20.0)
+    merge_into_tiles(tmp_path / "tiles", right, unchecked=True)
+    tiles = TiledMap(tmp_path / "tiles")
+    joined = {row.tobytes() for row in tiles.together(tiles.index.tiles).centroids}
+    assert {row.tobytes() for row in right.centroids} <= joined
+
+
+def test_a_damaged_tile_is_written_again(whole: SegmentMap, cut: Path) -> None:
+    tile = TiledMap(cut).index.tiles[0]
+    file = cut / tile.file
+    file.write_bytes(file.read_bytes()[:-5])
+    cut_tiles(whole, cut, size_m=50.0, margin_m=20.0)
+    assert len(TiledMap(cut).tile(tile)) == tile.segments
+
+
+def test_a_place_that_cannot_be_written_is_one_line(whole: SegmentMap, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "tiles", "http://127.0.0.1:9/tiles"):
+        with pytest.raises(SeglocError, match="cannot be"):
+            cut_tiles(whole, out, size_m=50.0, margin_m=20.0)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from segloc import geometry
 from segloc.tracking.belief import Belief, BeliefConfig, Height, Reading, Status, View
@@ -25,13 +26,13 @@ def alike(metres: float) -> float:
 class Robot:
     """Drives straight on; its scans fit the map as they are told to."""
 
-    def __init__(self, **config: float) -> None:
+    def __init__(self, mount: Pose | None = None, **config: float) -> None:
         self.belief = Belief(BeliefConfig(**config), 0.9, geometry.Separation(), alike)
-        self.x = 0.0
+        self.x, self.mount = 0.0, np.eye(4) if mount is None else mount
 
     @property
     def T_odom_sensor(self) -> Pose:
-        return geometry.yaw_transform(0.0, (self.x, 0.0, 0.0))
+        return geometry.yaw_transform(0.0, (self.x, 0.0, 0.0)) @ self.mount
 
     def views(
         self, *places: tuple[Pose, float, float], new: float = 1.0, searched: bool = True
@@ -287,3 +288,15 @@ def test_a_wrong_height_costs_a_track_once_and_views_outweigh_it() -> None:
     observes(robot, 50.0)
     observes(robot, 0.0)
     assert robot.is_at(HERE) and robot.status is Status.LOCALIZED
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("degrees", [-90.0, 45.0, 90.0, 180.0])
+def test_places_are_told_apart_however_the_sensor_is_mounted(axis: str, degrees: float) -> None:
+    turned = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    mount = geometry.rigid(turned, np.array([0.0, 0.0, 1.0]))
+    about = HERE @ geometry.yaw_transform(np.pi)
+    above = geometry.rigid(np.eye(3), np.array([0.0, 0.0, 2.9])) @ HERE
+    for other in (about, above):
+        robot = Robot(mount).searches((HERE, 4.0), (other, 4.0))
+        assert len(robot.belief.hypotheses) == 2 and robot.status is Status.CANDIDATE

@@ -141,7 +141,10 @@ def update_map(
     stay = missed < update.max_missed
     waiting = stay & gone
     points = ~visible.gone | _within_segments(prior_map, waiting)
-    merged = prior_map.kept(stay, points, missed).merge(fresh)
+    # What goes is merged, too: its session's number is not free.
+    merged = prior_map.kept(np.ones(len(prior_map), dtype=bool), points, missed).merge(fresh)
+    rows = np.concatenate([stay, np.ones(len(merged) - len(stay), dtype=bool)])
+    merged = merged.kept(rows, np.ones(len(merged.cloud), dtype=bool))
     most = 2 * compact.max_views * compact.enabled if update.max_views is None else update.max_views
     newest = _newest_views(merged, most, update)
     bounded = merged.kept(newest, np.ones(len(merged.cloud), dtype=bool))
@@ -163,8 +166,11 @@ def _session_map(
 ) -> tuple[SegmentMap, CompactConfig]:
     """Build the map of a session; also return how to compact it."""
     built = config or stored_config(prior_map, BuildConfig)
-    fresh = build_map(recording, built, adapt=False)
-    if config is None and (text := stored_text(prior_map)):
+    # Poses are those of the map's frame, which is level if that was asked for.
+    as_posed = built.mapping.model_copy(update={"level": False})
+    fresh = build_map(recording, built.model_copy(update={"mapping": as_posed}), adapt=False)
+    text = stored_text(prior_map) if config is None else built.to_yaml()
+    if text:
         fresh.metadata["config"] = text  # keep one text, not a part beside the whole
     return fresh, built.mapping.compact
 

@@ -35,7 +35,9 @@ class LiveConfig(Section):
         0.5, gt=0, description="maximum gap of odometry that is interpolated, seconds"
     )
     wait_s: float = Field(0.5, ge=0, description="maximum wait of a scan for odometry, seconds")
-    waiting: int = Field(4, ge=1, description="maximum number of waiting scans, the newest")
+    waiting: int = Field(
+        4, ge=1, description="maximum number of waiting scans, the first and the newest"
+    )
     silent_s: float = Field(2.0, gt=0, description="time without scans until degraded, seconds")
     clock_jump_s: float = Field(
         1.0, gt=0, description="stamps going back by less are late, by more a new clock, seconds"

@@ -253,7 +253,7 @@ class LiveCore:
         self._waiting.append((time, scan))
         states += self._release(time)
         while len(self._waiting) > self.config.waiting:
-            self._waiting.popleft()
+            del self._waiting[1]  # the first is the next that odometry may cover
             self.dropped += 1
         return states
 

@@ -119,7 +119,9 @@ class PoseKeeper:
     def use(self, prior_map: SegmentMap) -> None:
         """Take the map that poses are in from now on."""
         self.flush()
-        self._map_id, self._newest = map_id(prior_map), None
+        before, self._map_id, self._newest = self._map_id, map_id(prior_map), None
+        if self._map_id != before:
+            self.drop("of another map")
 
     def near(self, stamp: float, T_odom_base: Pose, T_base_sensor: Pose) -> Prior | None:
         """Return where the sensor is searched while the kept pose is checked, else None."""
@@ -129,7 +131,7 @@ class PoseKeeper:
         expected = self._expected
         if expected is None:
             return None
-        if not stamp <= self._until:
+        if not self._until - self._check_s <= stamp <= self._until:
             self.drop(f"not confirmed within {self._check_s:g} s: the robot was moved, or the map")
             return None
         T = expected.predicted(stamp, T_odom_base) @ T_base_sensor

@@ -49,6 +49,7 @@ class Odometry:
     def __init__(self, config: LiveConfig) -> None:
         self._config = config
         self._kept: deque[tuple[float, Pose]] = deque(maxlen=_MAX_POSES)
+        self._cleared: Pose | None = None  # the last pose before the clock was set back
 
     @property
     def newest(self) -> float:
@@ -68,7 +69,9 @@ class Odometry:
     def add(self, stamp: float, T_odom_base: Pose) -> Jump | None:
         """Add a pose; a jump or a new clock clears earlier poses."""
         jump = None
-        if self._kept:
+        if not self._kept and self._cleared is not None:  # of another clock
+            jump = self._jump(self._cleared, T_odom_base, 0.0)
+        elif self._kept:
             last, before = self._kept[-1]
             back = stamp <= last
             if back and last - stamp <= self._config.clock_jump_s:
@@ -76,6 +79,7 @@ class Odometry:
             jump = self._jump(before, T_odom_base, 0.0 if back else stamp - last)
             if jump is not None or back:
                 self._kept.clear()
+        self._cleared = None
         self._kept.append((stamp, T_odom_base))
         while self._kept[0][0] < stamp - self._config.odometry_s:
             self._kept.popleft()
@@ -117,6 +121,7 @@ class Odometry:
 
     def clear(self) -> None:
         """Drop all poses."""
+        self._cleared = self.pose
         self._kept.clear()
 
 

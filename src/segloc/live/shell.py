@@ -125,8 +125,8 @@ class Shell(Generic[C]):
     def end(self) -> None:
         """End the threads after their current work, and store the pose; drop waiting input."""
         self._close()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
+        if threading.current_thread() not in self._threads:  # which the others may wait for
+            for thread in self._threads:
                 thread.join()
         if self._core.keeper is not None:
             self._core.keeper.flush()

@@ -19,8 +19,14 @@ from .graph import Edges
 from .loops import Chain, Loop, edges_of
 
 
-def reject_unsupported(chain: Chain, loops: list[Loop], config: AlignConfig) -> list[Loop]:
-    """Return the loops; reject those with too few or mostly disagreeing neighbours."""
+def reject_unsupported(
+    chain: Chain, loops: list[Loop], config: AlignConfig, most: int | None = None
+) -> list[Loop]:
+    """Return the loops; reject those with too few or mostly disagreeing neighbours.
+
+    ``most``: there are no more others that could agree.
+    """
+    needed = config.min_support if most is None else min(config.min_support, most)
     candidates = [k for k, loop in enumerate(loops) if loop.accepted]
     if not candidates:
         return loops
@@ -31,7 +37,7 @@ def reject_unsupported(chain: Chain, loops: list[Loop], config: AlignConfig) -> 
         voice = accepted[second]
         pro = np.bincount(first[voice & agree], minlength=len(candidates))
         contra = np.bincount(first[voice & ~agree], minlength=len(candidates))
-        dropped = np.flatnonzero(accepted & ((pro < config.min_support) | (contra > pro)))
+        dropped = np.flatnonzero(accepted & ((pro < needed) | (contra > pro)))
         if not len(dropped):
             break
         for i in dropped:

@@ -170,7 +170,8 @@ def _append(
         If too few anchors agree.
     """
     chain = _chain(session)
-    graph = SessionGraph(chain, reject_unsupported(chain, loops, settings), settings)
+    supported = reject_unsupported(chain, loops, settings, len(session.anchors) - 1)
+    graph = SessionGraph(chain, supported, settings)
     graph.optimise()
     accepted = [loop for loop in graph.loops if loop.accepted]
     needed = min(settings.min_support + 1, len(session.anchors))

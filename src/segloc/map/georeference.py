@@ -67,7 +67,7 @@ class Georeference:
 
     def to_text(self) -> str:
         """Return the text for a map's metadata."""
-        return json.dumps({"epsg": self.epsg, "origin_m": list(self.origin_m)})
+        return json.dumps({"epsg": self.epsg, "origin_m": [float(m) for m in self.origin_m]})
 
     def __str__(self) -> str:
         return f"EPSG:{self.epsg}, origin at {', '.join(f'{m:g}' for m in self.origin_m)}"

@@ -50,8 +50,9 @@ def union_of_rows(mine: Array, theirs: Array) -> Array:
 
 
 def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
-    """Return both clouds on the coarser grid, relative to the smaller of the two origins."""
-    origin: Float64 = min(mine.origin, theirs.origin, key=lambda array: tuple(array.tolist()))
+    """Return both clouds on the coarser grid, relative to the smaller of the origins of points."""
+    filled = [cloud for cloud in (mine, theirs) if len(cloud)] or [mine, theirs]
+    origin: Float64 = min((c.origin for c in filled), key=lambda array: tuple(array.tolist()))
     voxel = max(mine.voxel, theirs.voxel)
     union = mine.move_to(origin, voxel)
     union.add_relative(theirs.move_to(origin, voxel).points)

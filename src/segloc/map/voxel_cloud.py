@@ -61,6 +61,10 @@ class VoxelCloud:
         """Add (N, 3) points relative to the origin."""
         if fault := relative_fault(points):
             raise SeglocError(fault)
+        if np.abs(points).max(initial=0.0) > MAX_VOXELS / 4 * self.voxel:  # it may be too wide
+            whole = np.concatenate([self.points, points])
+            if np.ptp(whole, axis=0).max() > (MAX_VOXELS - 2) * self.voxel:
+                raise _too_wide()
         self._pending.append(points)
         self._pending_count += len(points)
         if self._pending_count > max(_MIN_PENDING, len(self._thinned)):

@@ -122,6 +122,20 @@ def require_permission(path: Path, folder: Path) -> None:
         raise SeglocError(f"{path}: cannot be written: no permission to write to {folder}")
 
 
+def make_folder(path: Path) -> None:
+    """Create a folder and those above it, unless it exists.
+
+    Raises
+    ------
+    SeglocError
+        If it cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SeglocError(f"{path}: cannot be created: {_reason(error)}") from error
+
+
 @contextmanager
 def folder_in(parent: str | Path | None, prefix: str) -> Iterator[Path]:
     """Create a temporary folder in another, by default in the system's; removed at the end.

@@ -175,7 +175,7 @@ def merge_into_tiles(
         check_same_place(part, other, elsewhere=elsewhere, unchecked=unchecked)
         return compacted(part.merge(other), map_config(part).mapping.compact)
 
-    path = other.trajectory[:, :2, 3]
+    path = (other.trajectory[:, :3, 3] if len(other.trajectory) else other.centroids)[:, :2]
     points = other.cloud[:, :2] + other.origin[:2]
     places = np.concatenate([path, other.centroids[:, :2], points])
     return _change(store_of(where), places, 0.0, change, path, shift)

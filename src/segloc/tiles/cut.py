@@ -172,11 +172,11 @@ def write_square(store: Store, part: SegmentMap, cell: Cell, size_m: float) -> T
 
 
 def write_tile(store: Store, part: SegmentMap, name: str) -> TileFile:
-    """Write a map to a file named by its content, unless it exists."""
+    """Write a map to a file named by its content, unless it is there, and whole."""
     data = part.to_bytes()
     digest = digest_of(data)
     file = f"{name}-{digest}.segmap"
-    if file not in store.names():
+    if file not in store.names() or store.read(file, len(data)) != data:
         store.write(file, data)
     return TileFile(file=file, bytes=len(data), digest=digest, segments=len(part))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from ..errors import MapFormatError, SeglocError, requires
-from ..system.files import write_bytes
+from ..system.files import make_folder, write_bytes
 from ..system.locks import exclusive
 from .index import INDEX, TileFile, digest_of
 
@@ -40,7 +40,7 @@ class Folder:
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file atomically."""
-        self._path.mkdir(parents=True, exist_ok=True)
+        make_folder(self._path)
         write_bytes(self._path / name, data)
 
     def names(self) -> list[str]:
@@ -53,7 +53,7 @@ class Folder:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Exclude other writers in a ``with`` block."""
-        self._path.mkdir(parents=True, exist_ok=True)
+        make_folder(self._path)
         with exclusive(self._path / INDEX):
             yield
 
@@ -75,26 +75,27 @@ class Remote:
         return bytes(data)
 
     def write(self, name: str, data: bytes) -> None:
-        with suppress(NotImplementedError):
-            self._files.makedirs(self._root, exist_ok=True)
-        self._files.pipe_file(f"{self._root}/{name}", data)
+        self._make()
+        with _writing(f"{self.where}/{name}"):
+            self._files.pipe_file(f"{self._root}/{name}", data)
 
     def names(self) -> list[str]:
         try:
-            found = self._files.ls(self._root, detail=False)
+            with _writing(self.where):
+                found = self._files.ls(self._root, detail=False)
         except FileNotFoundError:
             return []
         return sorted(str(path).rsplit("/", 1)[-1] for path in found)
 
     def remove(self, name: str) -> None:
-        self._files.rm_file(f"{self._root}/{name}")
+        with _writing(f"{self.where}/{name}"):
+            self._files.rm_file(f"{self._root}/{name}")
 
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Exclude other writers by a lease file."""
         path, mine = f"{self._root}/{LEASE}", secrets.token_hex(8)
-        with suppress(NotImplementedError):
-            self._files.makedirs(self._root, exist_ok=True)
+        self._make()
         ends = time.monotonic() + WAIT_S
         while not self._lease(path, mine):
             if time.monotonic() > ends:
@@ -112,10 +113,34 @@ class Remote:
 
     def _lease(self, path: str, mine: str) -> bool:
         try:
-            self._files.pipe_file(path, mine.encode(), mode="create")
+            with _writing(self.where):
+                self._files.pipe_file(path, mine.encode(), mode="create")
+                return bool(self._files.cat_file(path) == mine.encode())
         except FileExistsError:
             return False
-        return bool(self._files.cat_file(path) == mine.encode())
+
+    def _make(self) -> None:
+        with _writing(self.where), suppress(NotImplementedError):
+            self._files.makedirs(self._root, exist_ok=True)
+
+
+@contextmanager
+def _writing(where: str) -> Iterator[None]:
+    """Turn what a store refuses, of any library behind fsspec, into one line.
+
+    That a file is there already, or not, is left as it is.
+    """
+    try:
+        yield
+    except (SeglocError, FileExistsError, FileNotFoundError):
+        raise
+    except Exception as error:
+        raise SeglocError(f"{where}: cannot be written: {one_line(error)}") from error
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an error of any library, or its name."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 Store: TypeAlias = Folder | Remote
@@ -226,8 +251,7 @@ class Reader:
         except FileNotFoundError as error:
             raise MapFormatError(f"{where}: no such file") from error
         except Exception as error:  # of any library behind fsspec
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise MapFormatError(f"{where}: cannot be read: {reason}") from error
+            raise MapFormatError(f"{where}: cannot be read: {one_line(error)}") from error
 
     def _keep(self, copy: Path, data: bytes) -> None:
         """Copy data into the cache; errors such as a full disk are ignored."""

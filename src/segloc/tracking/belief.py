@@ -112,7 +112,8 @@ class View:
 
     def reading(self, T_map_odom: Pose, separation: geometry.Separation) -> Reading | None:
         """Return the fit at the place of a pose T_map_odom; None if it was not compared."""
-        T, T_sensor = T_map_odom @ self.T_odom_sensor, self.T_odom_sensor
+        T_sensor = _upright(self.T_odom_sensor)
+        T = T_map_odom @ T_sensor
         here = (p for p in self.places if not separation.apart(T, p.T_map_odom @ T_sensor))
         return next(here, None)
 
@@ -381,7 +382,7 @@ class Belief:
 
     def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
-        merged, T_sensor = list[Hypothesis](), view.T_odom_sensor
+        merged, T_sensor = list[Hypothesis](), _upright(view.T_odom_sensor)
         for h in sorted(self.hypotheses, key=lambda h: -h.probability):
             T, apart = h.T_map_odom @ T_sensor, self._separation.apart
             same = (m for m in merged if not apart(m.T_map_odom @ T_sensor, T))
@@ -408,6 +409,11 @@ class Belief:
 
     def _loss_reason(self, track: Hypothesis) -> str:
         return f"no view supports the track for {self.travelled - track.at:.0f} m"
+
+
+def _upright(T_odom_sensor: Pose) -> Pose:
+    """Return a pose without its rotation: z must be up where places are told apart."""
+    return geometry.rigid(np.eye(3), T_odom_sensor[:3, 3])
 
 
 def _step(h: Hypothesis, seen: Reading, T_odom_sensor: Pose) -> Float64:

@@ -158,3 +158,18 @@ def test_nobody_knows_the_way_of_a_robot_that_turned(
     """The line between two poses passes the box."""
     prior_map = drive_in_hall((10.0, 5.0), (14.0, 5.0), turn=turn)
     assert served(prior_map, tmp_path, 0.05, 0.4, 1.8, 0.6).at(12.0, 5.0) == expected
+
+
+@pytest.mark.parametrize("low", [-0.2, -9.8, -14.6])
+def test_walls_at_the_border_of_a_compact_map_stay_there(tmp_path: Path, low: float) -> None:
+    """Its points are the middles of voxels, which may be rounded to either side of a cell."""
+    site = SegmentMap.empty("geo", "f", 5, cloud_voxel=0.4)
+    x, y = (axis.ravel() for axis in np.meshgrid(low + 0.4 * np.arange(45), 0.4 * np.arange(45)))
+    floor = np.column_stack([x, y, np.full_like(x, 0.2)])
+    wall = np.array([(low, y, z) for y in 0.4 * np.arange(45) for z in (0.6, 1.0, 1.4)])
+    site.add_cloud(np.vstack([floor, wall]))
+    site.add_trajectory(geometry.yaw_transform(0, (low + 8.0, 8.0, 1.5))[None])
+    site.save(tmp_path / "site.segmap")
+    export(tmp_path / "site.segmap", "nav2", tmp_path / "grid")
+    occupied = np.flatnonzero((Served(tmp_path / "grid").cells == 100).any(axis=0))
+    assert occupied.size and occupied.max() < 20

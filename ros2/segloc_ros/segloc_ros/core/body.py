@@ -40,7 +40,7 @@ class Body:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._tf = TransformTree(settings.tf_keep_s)
+        self._tf = TransformTree(settings.tf_keep_s, settings.live.clock_jump_s)
         leans = settings.imu_topic and settings.odometry != "kiss-icp"
         self._upright = Upright() if leans else None
         self._mounts: dict[tuple[str, str], tuple[int, Mount]] = {}

@@ -54,16 +54,17 @@ class ScanMerger:
         self._kept: dict[str, deque[MountedScan]] = {
             name: deque(maxlen=_MAX_KEPT) for name in others
         }
-        self._newest = -math.inf
+        self._newest, self._last = -math.inf, dict[str, float]()
         self.missing: tuple[str, ...] = ()
 
     def add(self, name: str, given: MountedScan) -> list[MountedScan]:
         """Take a scan of a LiDAR; return the merged scans that are now complete."""
-        if given.stamp < self._newest - 1.0:  # another clock
+        if given.stamp < self._last.get(name, -math.inf) - 1.0:  # another clock
             self._waiting.clear()
             for kept in self._kept.values():
                 kept.clear()
-            self._newest = -math.inf
+            self._newest, self._last = -math.inf, {}
+        self._last[name] = given.stamp
         self._newest = max(self._newest, given.stamp)
         (self._waiting if name == self._main else self._kept[name]).append(given)
         merged = []

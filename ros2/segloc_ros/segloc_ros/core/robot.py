@@ -103,6 +103,7 @@ class Robot:
         self.keeper = settings.keeper
         self._smooth, self._merger = settings.smooth, settings.merger
         self._lidar_odometry: LidarOdometry | None = None
+        self._registered_at = -np.inf  # stamp of the newest cloud that odometry was computed of
         self._lidar = "", -np.inf  # frame and stamp of the newest cloud of the main topic
         self._unread: dict[str, str] = {}  # fields that look like point times, by topic
         self._still, self._checked = StillClouds(), ScansInOdom()
@@ -367,8 +368,7 @@ class Robot:
         """
         if self.trigger.resting and self.trigger.held is None:
             return
-        if self.trigger.resting:
-            self.trigger.wake()
+        self.trigger.check()
         if self.core is not None:
             self.core.hurry()
 
@@ -443,8 +443,13 @@ class Robot:
 
     @property
     def pose_state(self) -> State | None:
-        """The state of the current pose: the one that was found before rest, else the newest."""
-        return self.trigger.held if self.trigger.resting else self.state
+        """The state of the current pose: the one that was found before rest, else the newest.
+
+        The one before rest counts, too, until a query that checks it gives another.
+        """
+        state, held = self.state, self.trigger.held
+        is_lost = state is None or state.T_map_odom is None
+        return held if self.trigger.resting or (is_lost and held is not None) else state
 
     @property
     def T_map_odom(self) -> Pose | None:
@@ -513,7 +518,9 @@ class Robot:
 
     def _registered(self, given: MountedScan) -> list[Reply]:
         """Compute the odometry of a cloud, and publish it."""
-        odometry = self._lidar_odometry
+        if 0.0 <= self._registered_at - given.stamp <= self._live.clock_jump_s:
+            return []  # late or repeated, as for the core
+        self._registered_at, odometry = given.stamp, self._lidar_odometry
         if odometry is None or not same(odometry.T_base_sensor, given.T_base_sensor):
             odometry = self._lidar_odometry = LidarOdometry(given.T_base_sensor)
         lost, replies, scan = odometry.losses, list[Reply](), given.scan
@@ -574,7 +581,10 @@ class Robot:
             return
         self.jumps += core.jumps - self._jumps
         self._jumps, self._still = core.jumps, StillClouds()
-        if self.trigger.resting and self.trigger.held is not None:
+        self._kept = None  # that of the odometry before
+        if self._smooth is not None:
+            self._smooth.clear()
+        if self.trigger.held is not None:
             self.trigger.lose()
             self._told, self.state = None, core.forget()
             if self.trigger.resting:

@@ -97,6 +97,8 @@ class TransformTree:
     ----------
     keep_s : float
         Time for which moving transforms are kept [s].
+    clock_jump_s : float
+        Stamps that go back by less are late, by more of another clock [s].
 
     Attributes
     ----------
@@ -104,9 +106,9 @@ class TransformTree:
         Rises when the fixity, the parent or the static transform of a frame changes.
     """
 
-    def __init__(self, keep_s: float = 10.0) -> None:
+    def __init__(self, keep_s: float = 10.0, clock_jump_s: float = 1.0) -> None:
         self.changes = 0
-        self._keep_s = keep_s
+        self._keep_s, self._clock_jump_s = keep_s, clock_jump_s
         self._parents: dict[str, str] = {}
         self._static: dict[str, Pose] = {}
         self._moving: dict[str, deque[tuple[float, Pose]]] = {}
@@ -153,7 +155,7 @@ class TransformTree:
         kept = self._moving.setdefault(child, deque(maxlen=_MOST_KEPT))
         joint = self._joints.get(child)
         if kept and stamp <= kept[-1][0]:
-            if kept[-1][0] - stamp < self._keep_s:
+            if kept[-1][0] - stamp <= self._clock_jump_s:
                 return  # late or repeated
             kept.clear()  # another clock
             if joint is not None:

@@ -42,11 +42,17 @@ class Trigger:
         self.resting, self.held = False, None
         self._prior, self._until, self._anywhere = prior, math.inf, anywhere
 
+    def check(self) -> None:
+        """Search anywhere once more; the pose is held until it is found again."""
+        held = self.held
+        self.wake()
+        self.held = held
+
     def near(self, stamp: float) -> Prior | None:
         """Return the prior of a query at a time; None for the whole map."""
         if self._prior is not None and math.isinf(self._until):
             self._until = stamp + self._prior_s
-        if self._prior is not None and stamp > self._until:
+        if self._prior is not None and not self._until - self._prior_s <= stamp <= self._until:
             self._prior = None
             self.resting = not self._anywhere
         return self._prior

@@ -15,7 +15,7 @@ from ...geometry import cells_of
 from ...map.segment_map import SegmentMap
 from ...motion import odometry_covariance
 from ...system.checks import checked_pose
-from ...system.files import checked_target, write_bytes, write_text
+from ...system.files import checked_target, make_folder, write_bytes, write_text
 from ...types import Float32, Float64, Int64
 from ..io.g2o import PoseEdges, format_g2o
 from ..io.las import format_laz
@@ -163,7 +163,7 @@ def write_autoware(prior_map: SegmentMap, out: Path, tile_m: float) -> list[str]
     """
     points, notes = _near_origin(prior_map)
     folder = out / AUTOWARE_FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     if leftover := next(folder.iterdir(), None):
         raise SeglocError(f"{folder}: contains {leftover.name}: choose a new folder")
     corners = cells_of(points[:, :2].astype(np.float64), tile_m)

@@ -18,7 +18,7 @@ from ...frontend.segmentation import SegmentationConfig
 from ...geometry import cells_of
 from ...map.segment_map import SegmentMap
 from ...proposals.occupancy import ground_of, storeys
-from ...system.files import write_bytes, write_text
+from ...system.files import make_folder, write_bytes, write_text
 from ...types import Float32, Float64
 
 FREE, UNKNOWN, OCCUPIED = 254, 205, 0
@@ -60,7 +60,7 @@ def write_nav2(prior_map: SegmentMap, out: Path, options: GridOptions) -> list[s
     parts = list(storeys(prior_map.cloud, path))
     drives = _by_storey(_drives(prior_map, options.robot_width_m), [each for _, each in parts])
     notes = []
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     for k, (cloud, stations) in enumerate(parts):
         name = "map" if len(parts) == 1 else f"map_{k}"
         grid, corner = _occupancy_grid(cloud, stations, prior_map.cloud_voxel, options)
@@ -84,8 +84,10 @@ def _occupancy_grid(
     """
     edge = options.resolution_m
     heights = cloud[:, 2] - ground_of(cloud, path, SegmentationConfig())[1]
-    corner = np.floor(cloud[:, :2].min(axis=0) / edge).astype(np.float64) * edge
-    cells = cells_of(cloud[:, :2] - corner, edge)
+    cells = cells_of(cloud[:, :2].astype(np.float64), edge)
+    lowest = cells.min(axis=0)
+    corner = lowest * edge
+    cells -= lowest
     shape = cells[:, 1].max() + 1, cells[:, 0].max() + 1
     if shape[0] * shape[1] > _MAX_CELLS:
         raise ConfigError(

@@ -16,7 +16,7 @@ from ... import geometry
 from ...errors import ConfigError, SeglocError
 from ...geometry import PATH_BREAK_M, ros_covariance
 from ...map.georeference import Georeference
-from ...system.files import write_text
+from ...system.files import make_folder, write_text
 from ...system.text import quantity
 from ...types import Float64, Pose
 from ..io import Trajectory, write_tum
@@ -96,7 +96,7 @@ def write_tum_files(source: Source, out: Path, in_cloud: bool = False) -> list[s
     if not isinstance(source, AlignedSource) or len(listed) == 1:
         write_tum(out, *listed[0][1:])
         return _viewpoints_note(source)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     for k, (_, track, remark) in enumerate(listed):
         write_tum(out / f"session_{k}.tum", track, remark)
     return []
