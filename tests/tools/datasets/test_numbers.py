@@ -28,6 +28,7 @@ NAMES = {
     "nanoseconds": [f"{1_700_000_000_000_000_000 + round(s * 1e9)}" for s in STEPS],
     "microseconds": [f"{1_700_000_000_000_000 + round(s * 1e6)}" for s in STEPS],
     "milliseconds": [f"{1_700_000_000_000 + round(s * 1e3)}" for s in STEPS],
+    "milliseconds.": [f"{1_700_000_000_000 + round(s * 1e3)}.000" for s in STEPS],
     "from the start": [f"{12 + s:.6f}" for s in STEPS],
 }
 
@@ -57,6 +58,8 @@ def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_pa
         (["lidar2_7", "lidar2_10"], [7, 10]),
         (["20240101_0001", "20240101_0002"], [1, 2]),
         (["1_000100", "1_000200"], [100, 200]),
+        (["12-00-59", "12-01-00"], [0, 1]),
+        (["20230101120000.123", "20230101120001.023"], [0, 1]),
     ],
 )
 def test_numbers_that_are_no_times_stay_numbers(
@@ -291,3 +294,10 @@ def test_a_bag_is_read_without_poses_that_are_of_no_use(tmp_path: Path) -> None:
     sequence = open_sequence(writer.write(tmp_path / "drive"))
     assert (len(sequence), sequence.poses) == (COUNT, None)
     assert [note.partition(":")[0] for note in sequence.notes] == ["/torn", "/yesterday"]
+
+
+def test_seconds_as_python_prints_them_are_in_order(tmp_path: Path) -> None:
+    stems = ["12.345678", "12.445678", "12.5456", "12.9", "13.045678"]
+    sequence = open_sequence(numbered(tmp_path / "run", [f"{stem}.npy" for stem in stems]))
+    np.testing.assert_allclose(sequence.stamps, [float(stem) for stem in stems])
+    assert [len(sequence.scan(k)) for k in range(5)] == [1, 2, 3, 4, 5]

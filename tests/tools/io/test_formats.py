@@ -256,6 +256,7 @@ PLAIN = "1 2 3 9\n4 5 6 9\n"
     [
         ("a.pts", f"2\n{PLAIN}", 2),
         ("a.asc", f"//X Y Z I\n{PLAIN}", 2),
+        ("titled.csv", "//X,Y,Z,I\n1,2,3,9\n4,5,6,9\n", 2),
         ("a.xyz", f"X Y Z I\n{PLAIN}", 2),
         ("a.csv", "X,Y,Z\n1,2,3\n4,5,6\n", 2),
         ("a.txt", f"{PLAIN}-nan(ind) nan(0x8000) -NAN(IND) 0\n1.#QNAN -1.#IND 1.#INF00 0\n", 2),

@@ -281,3 +281,21 @@ def test_poses_that_columns_do_not_tell_are_refused(text: str, fault: str, tmp_p
     with pytest.raises(DatasetError, match=fault) as caught:
         read_trajectory(tmp_path / "poses")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "second"),
+    [
+        ("stamp.sec,stamp.nanosec", "7,500000000"),
+        ("time_sec,time_nsec", "7,500000000"),
+        ("header.stamp.sec,header.stamp.nanosec", "7,500000000"),
+        ("seconds", "7.5"),
+        ("epoch", "7.5"),
+        ("time_ns", "7500000000"),
+    ],
+)
+def test_times_by_their_names(tmp_path: Path, names: str, second: str) -> None:
+    first = ",".join("0" for _ in names.split(","))
+    rows = "".join(f"{t},1,2,3,0,0,0,1\n" for t in (first, second))
+    (tmp_path / "a.csv").write_text(f"{names},x,y,z,qx,qy,qz,qw\n{rows}")
+    assert read_trajectory(tmp_path / "a.csv").stamps.tolist() == pytest.approx([0.0, 7.5])

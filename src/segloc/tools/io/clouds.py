@@ -206,7 +206,9 @@ def _map_rows(path: Path, suffix: str) -> Iterator[Float64]:
             return
         head = data[: 1 << 20]
         layout = (pcd.point_layout if suffix == ".pcd" else ply.point_layout)(head)
-        if layout is None:
+        if layout is None and suffix == ".pcd":
+            yield _float64(np.column_stack(pcd.parse_coordinates(data[:])))
+        elif layout is None:
             yield read_scan(path).points.astype(np.float64)
         elif layout.text:
             yield from table_parts(data, layout.start, layout.columns, layout.count, layout.stride)

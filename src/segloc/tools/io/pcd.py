@@ -93,6 +93,12 @@ def parse_pcd(data: bytes) -> Scan:
     return header.scan(_columns(data, header, header.used_fields))
 
 
+def parse_coordinates(data: bytes) -> list[NDArray[Any]]:
+    """Return the columns x, y and z of a PCD file as they are stored."""
+    header = _parse_header(data)
+    return _columns(data, header, header.used_fields[:3])
+
+
 def parse_fields(data: bytes) -> tuple[list[str], NDArray[np.float64]]:
     """Return the names of the fields with one value, and their values (N, fields)."""
     header = _parse_header(data)

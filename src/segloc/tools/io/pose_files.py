@@ -43,7 +43,10 @@ _PCD = re.compile(rb"\s*(?:#[^\n]*\n\s*)*VERSION[^\n]*\n(?:[^\n]*\n){1,20}?DATA 
 
 _MAX_COLUMNS = 200
 _UNIT = re.compile(r"(\S)\s+(?=[\[(])")  # a unit belongs to the name before it
-_TIME_WORDS = frozenset({"t", "time", "timestamp", "timestamps", "stamp", "ts", "sec", "secs"})
+_TIME_WORDS = frozenset(
+    {"t", "time", "times", "timestamp", "timestamps", "stamp", "ts", "sec", "secs", "second"}
+    | {"seconds", "utime", "unixtime", "rostime", "epoch"}
+)
 _TURN_WORDS = frozenset({"q", "quat", "quaternion", "orientation", "ori", "rot", "rotation"})
 _EULER_WORDS = _TURN_WORDS | {
     "deg",
@@ -103,6 +106,10 @@ def _named_columns(names: Sequence[str]) -> _Columns | None:
     if turn is None or any(axis not in roles for axis in _AXES):
         return None
     times = [k for k, role in enumerate(roles) if role == "time"]
+    if len(times) == 2 and {"nanoseconds"} == {_second_half(names[k]) for k in times} - {""}:
+        second = next(k for k in times if _second_half(names[k]))
+        roles[second] = "nanoseconds"
+        times.remove(second)
     times = ([k for k in times if "stamp" in names[k].lower()] or times)[:1]
     place = [roles.index(role) for role in (*_AXES, *turn)]
     nanos = [roles.index("nanoseconds")] if times and "nanoseconds" in roles else []
@@ -111,6 +118,12 @@ def _named_columns(names: Sequence[str]) -> _Columns | None:
     angle = names[roles.index(turn[0])].lower()
     degrees = True if "deg" in angle or "°" in angle else False if "rad" in angle else None
     return _Columns([*times, *place, *nanos], bool(times), turn == _QUATERNION, unit, degrees)
+
+
+def _second_half(name: str) -> str:
+    """Return "nanoseconds" for a column like ``stamp.nanosec``, else ""."""
+    parts = [part for part in re.split(r"[^a-z0-9]+", name.lower()) if part]
+    return "nanoseconds" if parts and parts[-1] in _NANO_WORDS else ""
 
 
 def _role(name: str) -> str:

@@ -22,6 +22,7 @@ _BLOCK = 1 << 23  # bytes parsed at a time: as lines they take several times as 
 _MAX_LINE = 1 << 16
 COMMENTS = ("#", "//")
 _BOM = b"\xef\xbb\xbf"
+_TITLES = re.compile(r"^\s*(?:#|//)\s*(?=[A-Za-z\"])")  # before names of columns
 _NOT_A_NUMBER = re.compile(r"[-+]?(?:nan\([^)\s]*\)|1\.#(?:q?nan|snan|ind|inf)\w*)", re.I)
 """Non-finite values as Microsoft's and other C libraries print them."""
 
@@ -220,6 +221,7 @@ def _first_row(lines: list[str]) -> tuple[list[str], str | None]:
     """Return the words of the first row and the delimiter; drops a number of points before it."""
     if len(lines) > 1 and _is_count(lines[0]) and not _is_count(lines[1]):
         del lines[0]
+    lines[0] = _TITLES.sub("", lines[0])
     delimiter = next((mark for mark in ",;" if mark in lines[0]), None)
     return [word.strip().strip("\"'").lower() for word in _words(lines[0], delimiter)], delimiter
 

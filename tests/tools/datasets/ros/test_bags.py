@@ -271,6 +271,11 @@ def test_stamps_that_are_missing_or_do_not_rise(tmp_path: Path) -> None:
     sequence = open_sequence(bag.write(tmp_path / "zero"))
     assert sequence.notes == ("/points has no stamps: using log times",)
     np.testing.assert_allclose(sequence.scan(2).points, DRIVE.seen(2), atol=1e-5)  # same time
+    bag = BagWriter("ros1", late_s=START)
+    for k, stamp in enumerate([0.0, START, START + 0.1]):
+        bag.cloud("/points", stamp, DRIVE.seen(k))
+    sequence = open_sequence(bag.write(tmp_path / "partly"))
+    assert sequence.notes == ("1 of 3 messages dropped: no stamps",) and len(sequence) == 2
 
 
 def test_two_sensors_on_one_topic(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ _PAIR = re.compile(r"(?:.*\D)?(\d+)([._])(\d{1,9})", re.ASCII)
 """Seconds and a fraction, or seconds and nanoseconds."""
 _FRACTION_DIGITS = 3  # minimum, for stamps that do not count from 1970
 _NANO_DIGITS = 9
+_MAX_SECONDS = 9e9  # of which nanoseconds fit 64 bits
 _HINTS = {
     ".e57": "export E57 to .laz or .ply, for example by CloudCompare",
     ".rcp": "export it to .laz",
@@ -153,9 +154,10 @@ def _indices_and_stamps(paths: list[Path], folder: Path) -> tuple[Int64, Float64
             raise DatasetError(f"{folder}: {first.name} and {second.name} have the same stamp")
         return np.arange(len(paths)), stamps
     indices = np.array(_indices(paths, folder), dtype=np.int64)
+    if not (np.diff(indices) > 0).all():  # of a day, a minute: no number of the scan
+        return np.arange(len(paths)), None
     unit = epoch_unit(indices.astype(np.float64))
-    rising = unit is not None and (np.diff(indices) > 0).all()
-    if unit is None or not rising:
+    if unit is None:
         return indices, None
     return indices, np.asarray(indices.astype(np.float64) * unit, dtype=np.float64)
 
@@ -168,18 +170,23 @@ def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
         return None
     whole = np.array([int(seconds) for seconds, _, _ in pairs], dtype=np.int64)
     lengths = {len(digits) for _, _, digits in pairs}
-    epoch = epoch_unit(whole.astype(np.float64)) == 1.0
+    unit = epoch_unit(whole.astype(np.float64))
     decimal = all(mark == "." and stem == f"{a}.{b}" for stem, (a, mark, b) in zip(
         stems, pairs, strict=True
     ))  # fmt: skip
-    if not epoch and not (decimal and len(lengths) == 1 and min(lengths) >= _FRACTION_DIGITS):
-        return None
     # Digits of equal length, or as Python prints a float, are a fraction; others are a count.
     printed = all(mark == "." for _, mark, _ in pairs) and max(lengths) < _NANO_DIGITS - 1
+    fraction = len(lengths) == 1 or printed
+    if unit is None and not (decimal and fraction and max(lengths) >= _FRACTION_DIGITS):
+        return None
     count = _NANO_DIGITS if max(lengths) > 6 else 6 if max(lengths) > 3 else 3
-    digits = [part if len(lengths) == 1 or printed else part.zfill(count) for _, _, part in pairs]
+    digits = [part if fraction else part.zfill(count) for _, _, part in pairs]
     nanos = np.array([int(part.ljust(_NANO_DIGITS, "0")) for part in digits], dtype=np.int64)
-    return np.asarray((whole * 10**_NANO_DIGITS + nanos) * 1e-9, dtype=np.float64)
+    if unit in (None, 1.0) and whole.max() < _MAX_SECONDS:
+        return np.asarray((whole * 10**_NANO_DIGITS + nanos) * 1e-9, dtype=np.float64)
+    if unit is None:  # a date
+        return None
+    return np.asarray((whole + nanos * 1e-9) * unit, dtype=np.float64)
 
 
 def _indices(paths: list[Path], folder: Path) -> list[int]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ....errors import DatasetError
 from ....types import Float64, Int64, Scan
+from ..clocks import epoch_unit
 from ..recorded import Found
 from ..tracks import rising
 from ..world_clouds import stand_still
@@ -307,14 +308,18 @@ def _in_order(headers: Headers, path: str, topic: str) -> tuple[Headers, list[st
             f"{path}: message {second} of {topic} is in frame {headers.frames[second]!r}, those "
             f"before it in {headers.frames[0]!r}: two sensors on one topic?"
         )
-    if not headers.stamps.any():
+    notes, blank = list[str](), headers.stamps == 0.0
+    if blank.all():
         note = f"{topic} has no stamps: using log times"
         return replace(headers, stamps=np.asarray(headers.logged * 1e-9, np.float64)), [note]
+    if blank.any() and epoch_unit(headers.stamps[~blank]) is not None:  # no time since a start
+        notes.append(f"{blank.sum()} of {len(blank)} messages dropped: no stamps")
+        headers = headers.part(~blank)
     later = rising(headers.stamps)
-    lost = len(later) - int(later.sum())
-    if not lost:
-        return headers, []
-    return headers.part(later), [f"{lost} of {len(later)} messages dropped: stamps do not rise"]
+    if lost := len(later) - int(later.sum()):
+        notes.append(f"{lost} of {len(later)} messages dropped: stamps do not rise")
+        headers = headers.part(later)
+    return headers, notes
 
 
 def _fields(reader: BagReader, topic: str) -> str:
