@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,23 @@ def test_a_wrong_prior_is_named_and_no_pose_is_given(
     anywhere = localizer.localize(scan, near=Prior(position, radius, anywhere=True))
     without = localizer.localize(scan)
     assert anywhere.localized and np.array_equal(anywhere.T_map_sensor, without.T_map_sensor)
+
+
+@pytest.mark.parametrize(
+    "near",
+    [
+        Prior((5.0, -2.0), 1.0),
+        Prior(heading_deg=np.degrees(1.0) + 11.0, heading_tolerance_deg=10.0),
+    ],
+)
+def test_no_answer_lies_outside_of_its_prior(
+    plaza: Plaza, plaza_map: SegmentMap, near: Prior
+) -> None:
+    """Even if it was proposed within, and what fits is just beyond."""
+    localizer, scan = Localizer(plaza_map), plaza.scan(TRUE, seed=77)
+    result = localizer.localize(scan, near=near)
+    assert not result.localized and result.reason is Reason.NOT_NEAR_PRIOR
+    assert localizer.localize(scan, near=replace(near, anywhere=True)).localized
 
 
 class ProposesNothing(PoseEstimator):

@@ -14,6 +14,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmentation, Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
+from .likelihood.config import MAX_FLUSH_M
 from .likelihood.observation import MapCloud, QueryCloud
 from .localization import Localization
 from .map.info import tolerance_m
@@ -382,6 +383,7 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
     """
     viewpoints, verification = prior_map.trajectory[:, :3, 3], config.verification
     offset = verification.flush_offset + _DEVIATIONS * tolerance_m(prior_map.metadata)
+    offset = min(offset, MAX_FLUSH_M)
     return MapCloud(
         prior_map.cloud,
         prior_map.origin,

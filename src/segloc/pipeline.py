@@ -110,6 +110,10 @@ class Search:
         if not posterior.places:
             reason = Reason.NO_CONSISTENT_MATCHES
         message = posterior.message(min_confidence)
+        best = posterior.best
+        if reason is None and near and best and not near.holds(best.T_map_local):
+            x, y, z = best.T_map_local[:3, 3]
+            reason, message = Reason.NOT_NEAR_PRIOR, f"what fits is at {x:.1f}, {y:.1f}, {z:.1f}"
         where = prior_map, agreed.count, agreed.matches, candidates
         return cls(*where, posterior, reason, message, tuple(places), near)
 
@@ -193,8 +197,8 @@ def _fault(search: Search, cloud: LocalCloud, reason: Reason, radius_m: float) -
     prior_map, near = search.prior_map, search.near
     if reason in (Reason.NO_POINTS, Reason.NO_SEGMENTS) and cloud.fault:
         return cloud.fault
-    if not len(prior_map):
-        return f"the map has no segments, and {len(prior_map.cloud)} points"
+    if not len(prior_map) and not len(prior_map.cloud):
+        return "the map has no segments, and 0 points"
     if near is not None and reason is Reason.NOT_NEAR_PRIOR:
         return _off_the_map(near, prior_map, radius_m)
     return ""
@@ -213,11 +217,12 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
         low, high = float(heights.min()), float(heights.max())
         if max(low - near.height_m, near.height_m - high) > near.height_tolerance_m:
             return f"the sensor of the map was at heights from {low:.1f} to {high:.1f} m"
-    if len(near.rows(prior_map.centroids, reach_m)):
+    places = prior_map.centroids if len(prior_map) else prior_map.trajectory[:, :3, 3]
+    if not len(places) or len(near.rows(places, reach_m)):
         return ""
     x, y = np.asarray(near.position)[:2]
-    away = float(np.hypot(*(prior_map.centroids[:, :2] - (x, y)).T).min())
-    low, high = prior_map.centroids.min(axis=0), prior_map.centroids.max(axis=0)
+    away = float(np.hypot(*(places[:, :2] - (x, y)).T).min())
+    low, high = places.min(axis=0), places.max(axis=0)
     spans = f"x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f}"
     return f"the map is {away:.0f} m from there and spans {spans}: is the prior in its frame?"
 

@@ -14,12 +14,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from segloc import _native
+from segloc.frontend.local_cloud import Accumulator
 from segloc.frontend.segmentation import (
     SegmentationConfig,
     Segmenter,
     heights_above_ground,
 )
-from segloc.types import Float32, LocalCloud
+from segloc.types import Float32, LocalCloud, Scan
 
 
 def cloud_of(points: np.ndarray, num_scans: int = 2) -> LocalCloud:
@@ -203,3 +204,14 @@ def test_ground_of_a_cloud_tens_of_kilometres_wide() -> None:
     expected = heights_above_ground(near.astype(np.float32), SegmentationConfig())
     np.testing.assert_allclose(heights[:4000], expected, atol=1e-5)
     assert np.median(np.abs(heights[4000:] - expected)) < 0.1
+
+
+def test_scans_of_a_few_points_far_apart_are_no_error() -> None:
+    segmenter, accumulator = Segmenter(), Accumulator()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        count = rng.integers(8, 40)
+        turn, away = rng.uniform(0, 2 * np.pi, count), rng.uniform(5, 49, count)
+        points = [away * np.cos(turn), away * np.sin(turn), rng.uniform(-1.7, 8, count)]
+        scene = segmenter.segment(accumulator.gather(Scan(np.column_stack(points))))
+        assert len(scene.segments) <= count

@@ -13,6 +13,8 @@ from .. import _native, geometry
 from ..system.section import Section
 from ..types import Float32, LocalCloud, Segments
 
+MAX_TOLERANCE_M = 50.0
+"""Largest gap between points of a segment, however far apart those of a scan are."""
 MIN_TOLERANCE_TO_SPACING = 1.25
 """Tolerance over point spacing from which nearly all points of an object link."""
 TOLERANCE_TO_SPACING = 1.7
@@ -34,7 +36,7 @@ class ClusterConfig(Section):
 
     voxel_size: float = Field(ge=0.01, le=10, description="edge of the voxel grid, metres")
     tolerance: float = Field(
-        ge=0.01, le=50, description="largest gap between points of a segment, metres"
+        ge=0.01, le=MAX_TOLERANCE_M, description="largest gap between points of a segment, metres"
     )
     min_points: int = Field(ge=1, le=10**9, description="points of the smallest segment")
     max_points: int = Field(15_000, ge=1, le=10**9, description="points of the largest segment")
@@ -59,7 +61,7 @@ class ClusterConfig(Section):
             return self
         fewer = self.min_points * (max_spacing / spacing) ** 2  # points lie on surfaces
         changes = {
-            "tolerance": max(self.tolerance, TOLERANCE_TO_SPACING * spacing),
+            "tolerance": min(max(self.tolerance, TOLERANCE_TO_SPACING * spacing), MAX_TOLERANCE_M),
             "min_points": min(self.min_points, max(MIN_POINTS, round(fewer))),
         }
         return self.model_copy(update=changes)

@@ -16,7 +16,7 @@ _RANGE_M, _SAMPLE = 25.0, 400
 """Range and number of compared map points around a view."""
 _REACHED_M = 5.0
 """Largest distance from the mapped trajectory."""
-_RADIUS_M = 0.5
+RADIUS_M = 0.5
 """Radius within which a point has a counterpart."""
 _DIFFERS = 0.15
 """Share of differing points that separates places; noise and changes cause less."""
@@ -61,5 +61,5 @@ def _alike(index: _native.PointIndex, T_one: Pose, T_other: Pose, step: Pose) ->
         points = index.sample(float(x), float(y), _RANGE_M, _SAMPLE)
         if len(points):
             moved = np.ascontiguousarray(other @ geometry.inverse(T))
-            shares.append(float(index.overlap(points, moved[None], _RADIUS_M)[0]))
+            shares.append(float(index.overlap(points, moved[None], RADIUS_M)[0]))
     return min(shares)

@@ -25,7 +25,7 @@ from ..localization import NextView
 from ..types import Float32, Float64, Int64, Pose
 from .config import VerificationConfig
 from .nearby import NearbySearch
-from .next_view import next_view
+from .next_view import RADIUS_M, next_view
 from .registration import ERRORS, Aligner, Alignment, Target, thinned
 
 _STOREY_SAMPLE = 200
@@ -278,7 +278,8 @@ class MapCloud:
         self._config, self._origin, self._separation = config, origin, separation
         self.storeyed, self._path = storeyed, path - origin
         self._aligner = Aligner.of(config, threads)
-        index = _native.PointIndex(cloud, max(config.coarse_radius, config.overlap_radius))
+        radius = max(config.coarse_radius, config.overlap_radius, RADIUS_M)
+        index = _native.PointIndex(cloud, radius)
         self._target = Target(
             self._aligner.surface(cloud, target=True), index, config.unmapped_overlap
         )

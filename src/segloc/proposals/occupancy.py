@@ -30,7 +30,7 @@ from .view import HEIGHTS_M, View, evenly, plausible_ground, slices_of
 EXTENTS = ((4, 2), (4, 1), (5, 1), (6, 1))
 """Levels of windows, of which the widest are 4, 8 or 16 m with cells of 0.5 m, and the factor of
 the search radius: the first that leaves enough columns is used."""
-MIN_COLUMNS = 64
+MIN_COLUMNS, MIN_WORK = 64, 1000
 """Fewest columns of a query in a large map; wider windows are better than fewer columns."""
 MIN_OCCUPIED = 20
 """Fewest occupied cells of a query for a search."""
@@ -68,7 +68,7 @@ class OccupancyConfig(Section):
     width: int = Field(1000, ge=16, le=10**6, description="windows divided at each level")
     work: int = Field(
         1_200_000,
-        ge=1000,
+        ge=MIN_WORK,
         le=10**8,
         description="most query columns times widest windows; bounds the time",
     )
@@ -139,7 +139,8 @@ class OccupancyProposer:
         """Build the grid of each storey, once; the bound of work is shared among storeys."""
         if self._maps is None:  # concurrent callers build it twice, harmlessly
             parts = list(storeys(self._cloud.points, self._path))
-            config = self.config.model_copy(update={"work": self.config.work // len(parts)})
+            work = max(MIN_WORK, self.config.work // len(parts))
+            config = self.config.model_copy(update={"work": work})
             more = config, self._segmentation, self._owns, self._parts
             self._maps = [_OccupancyMap(cloud, path, *more) for cloud, path in parts]
 

@@ -40,7 +40,7 @@ class PoseConfig(Section):
         0.5, gt=0, le=100, description="tolerance of the edges of a sample, metres (prosac, ransac)"
     )
     inlier_tolerance: float = Field(
-        0.6, gt=0, le=100, description="largest horizontal residual of an inlier, metres"
+        0.6, ge=0.001, le=10, description="largest horizontal residual of an inlier, metres"
     )
     height_tolerance: float = Field(
         1.0, gt=0, le=1000, description="largest vertical residual of an inlier, metres"
