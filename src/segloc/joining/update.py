@@ -169,9 +169,9 @@ def _session_map(
     # Poses are those of the map's frame, which is level if that was asked for.
     as_posed = built.mapping.model_copy(update={"level": False})
     fresh = build_map(recording, built.model_copy(update={"mapping": as_posed}), adapt=False)
-    text = stored_text(prior_map) if config is None else built.to_yaml()
-    if text:
-        fresh.metadata["config"] = text  # keep one text, not a part beside the whole
+    whole = built.model_copy(update={"threads": 0}).to_yaml()  # maps do not depend on the threads
+    text = stored_text(prior_map) if config is None else ""
+    fresh.metadata["config"] = text or whole  # one text, not a part beside the whole
     return fresh, built.mapping.compact
 
 

@@ -69,7 +69,7 @@ def lidar_odometry(
 
 def odometry_path(path: Path, topic: str | None = None) -> Path:
     """Return the file of stored odometry, beside the recording at ``path``."""
-    place = path.absolute()  # links are kept
+    place = Path(os.path.abspath(path))  # links are kept
     part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
     return place.parent / f"{place.name}{part}.odometry.tum"
 
