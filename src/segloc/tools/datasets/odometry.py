@@ -69,7 +69,7 @@ def lidar_odometry(
 
 def odometry_path(path: Path, topic: str | None = None) -> Path:
     """Return the file of stored odometry, beside the recording at ``path``."""
-    place = Path(os.path.abspath(path))  # links are kept
+    place = path.resolve() if path.name in ("", "..") else path.absolute()  # links are kept
     part = f".{topic.strip('/').replace('/', '_')}" if topic else ""
     return place.parent / f"{place.name}{part}.odometry.tum"
 
