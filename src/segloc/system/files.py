@@ -119,7 +119,7 @@ def require_permission(path: Path, folder: Path) -> None:
     SeglocError
     """
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise SeglocError(f"{path}: cannot be written: no permission to write to {folder}")
+        raise SeglocError(f"{path}: cannot be written: read-only or no permission: {folder}")
 
 
 def make_folder(path: Path) -> None:
