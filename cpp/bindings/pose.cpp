@@ -86,8 +86,8 @@ auto consensus_(const In2<double>& query, const In2<double>& map,
 }
 
 auto prosac_(const In2<double>& query, const In2<double>& map, const In1<std::int64_t>& match_query,
-             const In1<std::int64_t>& match_map, bool ordered, double edge_tolerance, double inlier_tolerance,
-             double min_edge, double chance, double separation,
+             const In1<std::int64_t>& match_map, bool ordered, double edge_tolerance,
+             double inlier_tolerance, double min_edge, double chance, double separation,
              double separation_deg, std::size_t max_draws, std::size_t max_hypotheses,
              std::uint64_t seed) {
   require_matches(query, map, match_query, match_map);

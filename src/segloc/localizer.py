@@ -382,8 +382,8 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
     A point is on a wall that is farther off by twice the tolerance of the map.
     """
     viewpoints, verification = prior_map.trajectory[:, :3, 3], config.verification
-    offset = verification.flush_offset + _DEVIATIONS * tolerance_m(prior_map.metadata)
-    offset = min(offset, MAX_FLUSH_M)
+    more_m = _DEVIATIONS * tolerance_m(prior_map.metadata)
+    offset = min(verification.flush_offset + more_m, MAX_FLUSH_M)
     return MapCloud(
         prior_map.cloud,
         prior_map.origin,

@@ -166,7 +166,7 @@ def _session_map(
 ) -> tuple[SegmentMap, CompactConfig]:
     """Build the map of a session; also return how to compact it."""
     built = config or stored_config(prior_map, BuildConfig)
-    # Poses are those of the map's frame, which is level if that was asked for.
+    # The session's poses are in the map's frame, which is level already.
     as_posed = built.mapping.model_copy(update={"level": False})
     fresh = build_map(recording, built.model_copy(update={"mapping": as_posed}), adapt=False)
     whole = built.model_copy(update={"threads": 0}).to_yaml()  # maps do not depend on the threads

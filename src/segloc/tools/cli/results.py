@@ -31,7 +31,7 @@ _RESULTS = _POSES, "localizations.jsonl", "states.jsonl", "trajectory.png", "err
 
 
 def check_folder(out: Path) -> None:
-    """Reject a folder that cannot be written, or has poses of others, before the work starts."""
+    """Reject a folder that cannot be written or holds other poses, before the work starts."""
     nearest = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise SeglocError(f"{out}: cannot be written: {nearest} is not a folder")

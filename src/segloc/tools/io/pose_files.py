@@ -106,10 +106,10 @@ def _named_columns(names: Sequence[str]) -> _Columns | None:
     if turn is None or any(axis not in roles for axis in _AXES):
         return None
     times = [k for k, role in enumerate(roles) if role == "time"]
-    if len(times) == 2 and {"nanoseconds"} == {_second_half(names[k]) for k in times} - {""}:
-        second = next(k for k in times if _second_half(names[k]))
-        roles[second] = "nanoseconds"
-        times.remove(second)
+    halves = [k for k in times if _words(names[k])[-1] in _NANO_WORDS]
+    if len(times) == 2 and halves:  # seconds, and the nanoseconds of the same stamp
+        roles[halves[0]] = "nanoseconds"
+        times.remove(halves[0])
     times = ([k for k in times if "stamp" in names[k].lower()] or times)[:1]
     place = [roles.index(role) for role in (*_AXES, *turn)]
     nanos = [roles.index("nanoseconds")] if times and "nanoseconds" in roles else []
@@ -120,16 +120,15 @@ def _named_columns(names: Sequence[str]) -> _Columns | None:
     return _Columns([*times, *place, *nanos], bool(times), turn == _QUATERNION, unit, degrees)
 
 
-def _second_half(name: str) -> str:
-    """Return "nanoseconds" for a column like ``stamp.nanosec``, else ""."""
-    parts = [part for part in re.split(r"[^a-z0-9]+", name.lower()) if part]
-    return "nanoseconds" if parts and parts[-1] in _NANO_WORDS else ""
+def _words(name: str) -> list[str]:
+    """Return the words of a column's name, without its unit."""
+    plain = name.lower().partition("[")[0].partition("(")[0].strip("\"' \t\r")
+    return [part for part in re.split(r"[^a-z0-9]+", plain) if part]
 
 
 def _role(name: str) -> str:
     """Return the role of a column: time, nanoseconds, an axis, part of a rotation, or ""."""
-    plain = name.lower().partition("[")[0].partition("(")[0].strip("\"' \t\r")
-    parts = [part for part in re.split(r"[^a-z0-9]+", plain) if part]
+    parts = _words(name)
     if not parts:
         return ""
     angle = next((part for part in parts if part in _EULER), "")

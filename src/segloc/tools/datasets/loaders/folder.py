@@ -182,10 +182,10 @@ def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
     count = _NANO_DIGITS if max(lengths) > 6 else 6 if max(lengths) > 3 else 3
     digits = [part if fraction else part.zfill(count) for _, _, part in pairs]
     nanos = np.array([int(part.ljust(_NANO_DIGITS, "0")) for part in digits], dtype=np.int64)
-    if unit in (None, 1.0) and whole.max() < _MAX_SECONDS:
-        return np.asarray((whole * 10**_NANO_DIGITS + nanos) * 1e-9, dtype=np.float64)
-    if unit is None:  # a date
+    if unit is None and whole.max() >= _MAX_SECONDS:  # a date
         return None
+    if unit in (None, 1.0):
+        return np.asarray((whole * 10**_NANO_DIGITS + nanos) * 1e-9, dtype=np.float64)
     return np.asarray((whole + nanos * 1e-9) * unit, dtype=np.float64)
 
 
