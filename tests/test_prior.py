@@ -12,8 +12,9 @@ from samples.plaza import Plaza
 
 from segloc import Config, ConfigError, Localizer, Prior, Reason, SegmentMap, geometry
 from segloc.proposals.pose import PoseEstimator
+from segloc.proposals.proposer import Query
 from segloc.tools.cli.options import parsed_prior
-from segloc.types import Candidate
+from segloc.types import Candidate, Pose
 
 GEO = Config.preset("geo").model_copy(update={"threads": 1})
 AWAY = np.array([300.0, 40.0, 0.0])
@@ -75,6 +76,42 @@ def test_no_answer_lies_outside_of_its_prior(
 class ProposesNothing(PoseEstimator):
     def estimate(self, *_: Any) -> list[Candidate]:
         return []
+
+
+class Proposes:
+    """Proposes one pose."""
+
+    name = "rough"
+
+    def __init__(self, T_map_local: Pose) -> None:
+        self.T_map_local = T_map_local
+
+    def propose(self, query: Query, prior: Prior | None = None) -> list[Candidate]:
+        return [Candidate(self.T_map_local, 0, 0.5)]
+
+
+@pytest.mark.parametrize(
+    "near",
+    [
+        Prior(TRUE[:2, 3], 0.3),
+        Prior(heading_deg=np.degrees(1.0), heading_tolerance_deg=2.0),
+        Prior(height_m=TRUE[2, 3], height_tolerance_m=0.3),
+    ],
+)
+def test_a_rough_proposal_beside_a_tight_prior_is_aligned_first(
+    plaza: Plaza, plaza_map: SegmentMap, near: Prior
+) -> None:
+    rough = TRUE @ geometry.yaw_transform(np.radians(4.0), (0.5, -0.4, 0.5))
+    assert not near.holds(rough)
+    localizer = Localizer(
+        plaza_map, estimator=ProposesNothing(GEO.pose), proposers=[Proposes(rough)]
+    )
+    scan = plaza.scan(TRUE, seed=77)
+    found = localizer.localize(scan, near=near)
+    assert found.localized and near.holds(found.T_map_sensor), found.message
+    elsewhere = Prior(TRUE[:2, 3] + [2.0, 0.0], 1.5)
+    assert elsewhere.widened(localizer.config.pose.separation).holds(rough)
+    assert localizer.localize(scan, near=elsewhere).reason is Reason.NOT_NEAR_PRIOR
 
 
 def test_a_known_pose_is_answered_where_nothing_is_proposed(

@@ -146,7 +146,7 @@ class Localizer:
             query.
         near : Prior or (position, radius_m), optional
             Known position, height or heading of the sensor, in the map's frame. Places elsewhere
-            are neither proposed nor answered, and do not make the query ambiguous.
+            are not answered, and do not make the query ambiguous.
         deadline_ms : float, optional
             Time after which no further candidates are proposed. The first ones are always verified,
             so a query may take longer.
@@ -248,11 +248,12 @@ class Localizer:
             seen = self._at_first_sight(query, query_cloud, times)
             if seen is not None and seen.reason is None:
                 return seen
-        agreed = self._agreed(query, times, near)
+        rough = near and near.widened(self.config.pose.separation)
+        agreed = self._agreed(query, times, rough)
         scorer = self.likelihood.scorer(query_cloud, agreed.inliers, is_near)
         known_near = [T for T in known if is_near(T)]
         found: Search | None = None
-        for candidates, last in self._proposals(query, agreed, times, deadline_ms, near):
+        for candidates, last in self._proposals(query, agreed, times, deadline_ms, rough):
             if not last and (thorough or not scorer.segments_suffice(candidates)):
                 continue
             with times("verification"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -133,6 +133,18 @@ class Prior:
                 f"not {near!r:.60}"
             ) from error
         return cls(position, radius_m, heading_deg=heading[0] if heading else None)
+
+    def widened(self, separation: geometry.Separation) -> Prior:
+        """Return the prior with more radius and tolerance: half of what separates places.
+
+        Rough poses within it may be aligned to a pose that it permits.
+        """
+        return replace(
+            self,
+            radius_m=self.radius_m + 0.5 * separation.metres,
+            heading_tolerance_deg=min(180.0, self.heading_tolerance_deg + 0.5 * separation.degrees),
+            height_tolerance_m=self.height_tolerance_m + 0.5 * separation.height,
+        )
 
     def distances(self, positions: Float64) -> Float64:
         """Return the distance of each of (N, 3) positions from the prior [m]."""

@@ -198,11 +198,13 @@ class Scorer:
         Parameters
         ----------
         candidates : sequence of Candidate
-            T_map_local, those of earlier calls included, those of each proposer best first.
+            T_map_local, those of earlier calls included, those of each proposer best first. One
+            that a prior excludes counts where alignment brings it, if that is permitted.
         known : sequence of (4, 4) float64
             Poses T_map_local that are measured to the end, whatever they promise; where they are
             if what fits is another place.
         """
+        candidates = [c for c in map(self._brought, candidates) if self._allowed(c.T_map_local)]
         if candidates:
             self._candidates = np.stack([c.T_map_local for c in candidates])
             self._inliers_there = np.array([c.inliers for c in candidates])
@@ -210,6 +212,13 @@ class Scorer:
             first = [np.flatnonzero(by == name)[:_FIRST] for name in np.unique(by)]
             self._first = self._candidates[np.concatenate(first)]
         self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
+
+    def _brought(self, candidate: Candidate) -> Candidate:
+        """Return a candidate, one that a prior excludes where alignment brings it."""
+        if self._allowed(candidate.T_map_local):
+            return candidate
+        aligned = self._map.aligned(candidate.T_map_local, self._query)
+        return replace(candidate, T_map_local=aligned.T_map_local)
 
     def segments_suffice(self, candidates: Sequence[Candidate]) -> bool:
         """Return whether the best of the candidates may be accepted before other proposers."""

@@ -123,7 +123,8 @@ class TiledLocalizer(Localizer):
         if len(tiles) > MAX_ALL:
             with times("tiles"):
                 matches = self._vote.matches(query.descriptors, near)
-                found = self._vote.poses(query.scene, matches, near)
+                rough = near and near.widened(self.config.pose.separation)
+                found = self._vote.poses(query.scene, matches, rough)
             tiles = self._voted(found)
         chosen = {*tiles, *self._owners(known)}
         result: Search | None = None
