@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 from samples.datasets import START, write_pcap
+from samples.ouster import ip_packets
 
 FIRING_US = 55.296  # of the VLP-16: a sequence of 16 lasers; two in a block, 12 blocks in a packet
 LASERS_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
@@ -30,7 +32,17 @@ def packets(turns: float, product: int = 0x22) -> list[tuple[float, bytes]]:
 
 
 def capture(
-    path: Path, sent: list[tuple[float, bytes]], order: str = "<", unit: int = 10**6
+    path: Path,
+    sent: list[tuple[float, bytes]],
+    order: str = "<",
+    unit: int = 10**6,
+    ports: Sequence[int] = (2368,),
 ) -> Path:
-    frames = [(stamp, bytes(42) + data) for stamp, data in sent]  # Ethernet, IP and UDP before it
+    """A capture of one sensor, or of one on each port."""
+    frames = [
+        (stamp, frame)
+        for k, (stamp, data) in enumerate(sent)
+        for port in ports
+        for frame in ip_packets(data, k, port)
+    ]
     return write_pcap(path, frames, order, unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -167,10 +168,25 @@ def test_interpolation_stays_between_neighbours(
         assert part == pytest.approx(share * whole, abs=1e-6)
 
 
-@given(st.lists(st.floats(-5, 5), max_size=12))
-def test_rising_keeps_what_is_later_than_all_before(values: list[float]) -> None:
-    expected = [all(v > w for w in values[:k]) for k, v in enumerate(values)]
-    assert rising(np.array(values)).tolist() == expected
+@given(st.lists(st.integers(-5, 5).map(float), max_size=9))
+def test_as_many_stamps_are_kept_as_can_rise(values: list[float]) -> None:
+    kept = np.array(values)[rising(np.array(values))]
+    assert (np.diff(kept) > 0).all()
+    most = max(
+        len(chosen)
+        for length in range(len(values) + 1)
+        for chosen in itertools.combinations(values, length)
+        if all(a < b for a, b in itertools.pairwise(chosen))
+    )
+    assert len(kept) == most
+
+
+def test_a_wrong_stamp_or_a_clock_set_back_does_not_cost_the_rest() -> None:
+    ahead, back = np.arange(100.0), np.arange(100.0)
+    ahead[3] += 86400.0
+    back[5:] -= 3600.0
+    assert np.flatnonzero(~rising(ahead)).tolist() == [3]
+    assert np.flatnonzero(~rising(back)).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_tracks_leave_out_what_is_wrong_and_say_so() -> None:

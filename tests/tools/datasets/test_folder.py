@@ -68,7 +68,16 @@ def test_text_files_are_scans_only_among_themselves(tmp_path: Path) -> None:
     write_kitti(folder / "poses.txt", straight([0, 1, 2]))
     assert len(open_sequence(folder, folder / "poses.txt")) == 2
     write_scan(folder / "3.laz", np.ones((1, 3)))
-    assert open_sequence(folder).indices.tolist() == [3]
+    mixed = open_sequence(folder)
+    assert mixed.indices.tolist() == [3]
+    assert "3 .csv and .txt files left out: scans are those in .laz" in mixed.notes
+
+
+def test_a_map_beside_numbered_scans_is_no_scan(tmp_path: Path) -> None:
+    folder = numbered(tmp_path / "run", ["1.ply", "2.ply", "map.ply"])
+    found = open_sequence(folder)
+    assert found.indices.tolist() == [1, 2]
+    assert "map.ply left out: no number in its name" in found.notes
 
 
 def test_a_kitti_file_is_keyed_by_row_if_it_reaches_else_by_position(tmp_path: Path) -> None:

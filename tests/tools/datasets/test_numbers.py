@@ -152,6 +152,7 @@ TIMES: dict[str, tuple[Float64, float, float | None]] = {
     "epoch": (EPOCH + np.linspace(0, 0.1, 9), 0.1, 1.0),
     "epoch in milliseconds": (1e3 * (EPOCH + np.linspace(0, 0.1, 9)), 0.1, 1e-3),
     "epoch in float32": ((EPOCH + np.linspace(0, 0.1, 9)).astype(np.float32) * 1.0, 0.1, None),
+    "epoch, half of it": (EPOCH + np.zeros(9), 0.1, None),
     "epoch of another day": (EPOCH + 86400 + np.linspace(0, 0.1, 9), 0.1, None),
     "another clock": (5000 + np.linspace(0, 0.1, 9), 0.1, None),
     "far too long": (np.linspace(0, 7, 9), 0.1, None),
@@ -161,7 +162,8 @@ TIMES: dict[str, tuple[Float64, float, float | None]] = {
 @pytest.mark.parametrize("name", TIMES)
 def test_the_unit_of_point_times(name: str) -> None:
     times, period_s, factor = TIMES[name]
-    unit = time_unit([(times.astype(np.float64), EPOCH)] * 3, period_s)
+    stamp = EPOCH + (0.25 if "half" in name else 0.0)
+    unit = time_unit([(times.astype(np.float64), stamp)] * 3, period_s)
     assert (unit.factor if unit.known else None) == factor
     assert bool(unit.note) == (factor != 1.0)
     assert unit.since_1970 == (unit.known and "epoch" in name)

@@ -62,6 +62,7 @@ def check(served: Served, shift: Float64) -> None:
     assert at(10.0, 9.9) == 100
     assert at(4.0, 5.0) == 0
     assert at(17.0, 3.0) == 0
+    assert (served.cells == -1).any()
 
 
 def served(prior_map: SegmentMap, folder: Path, *grid: float) -> Served:

@@ -81,6 +81,7 @@ def test_files_of_several_folders_are_placed_by_their_poses(
     for name, T, part in zip(names, poses, parts, strict=True):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write_scan(tmp_path / name, geometry.transform(geometry.inverse(T), part))
+    (tmp_path / "a" / "._2.ply").write_bytes(bytes(100))  # what a Mac leaves beside copies
     given = [tmp_path / "b", tmp_path / "a", tmp_path / "b" / "2.ply"]
     files = cloud_files(given)
     assert files == [tmp_path / name for name in names]

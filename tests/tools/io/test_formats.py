@@ -16,6 +16,7 @@ from samples.io import cloud
 
 from segloc.errors import DatasetError, InvalidScan, SeglocError
 from segloc.tools.io import read_scan, write_scan
+from segloc.tools.io.clouds import read_cloud
 from segloc.tools.io.kitti_bin import parse_kitti
 from segloc.tools.io.pcd import parse_pcd
 from segloc.tools.io.ply import parse_ply
@@ -170,8 +171,12 @@ def test_text_tables() -> None:
     ):  # fmt: skip
         np.testing.assert_array_equal(parse_csv(text.encode()).points, expected)
     np.testing.assert_array_equal(parse_txt(b"// c\n# d\n1 2 3\n#e\n4 5 6.5").points, expected)
-    timed = parse_csv(b"Time,x,y,z\n0.5,1,2,3\n0.75,4,5,6.5")
-    assert timed.times.tolist() == [0.5, 0.75]
+    for timed in (
+        parse_csv(b"Time,x,y,z\n0.5,1,2,3\n0.75,4,5,6.5"),
+        parse_txt(b"# a drive\n# t x y z\n0.5 1 2 3\n0.75 4 5 6.5"),
+    ):
+        np.testing.assert_array_equal(timed.points, expected)
+        assert timed.times.tolist() == [0.5, 0.75]
 
 
 @pytest.mark.parametrize("order", "CF")
@@ -195,6 +200,46 @@ def test_bin_of_other_widths_is_recognised(width: int, shuffled: bool) -> None:
             parse_kitti(rows[:count].astype("<f4").tobytes()).points,
             rows[:count, :3].astype(np.float32),
         )
+
+
+@pytest.mark.parametrize("width", [6, 7, 8])
+def test_a_bin_of_more_columns_is_refused(width: int) -> None:
+    rng = np.random.default_rng(width)
+    more = [rng.uniform(0, 255, 8400), np.arange(8400) % 32, np.linspace(0, 0.1, 8400)]
+    more += [rng.uniform(size=8400), rng.integers(0, 3, 8400)]
+    rows = np.column_stack([cloud(8400) * (9, 9, 1), *more])[:, :width]
+    with pytest.raises(DatasetError, match=f"rows of {width} float32"):
+        parse_kitti(rows.astype("<f4").tobytes())
+
+
+def test_deleted_points_of_a_laz_are_left_out_and_feet_are_refused(tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    points, path = cloud(1000), tmp_path / "a.laz"
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = [0.001] * 3
+    las = laspy.LasData(header)
+    las.xyz, las.gps_time = points, np.arange(1000.0)
+    las.withheld = deleted = np.arange(1000) % 5 == 0
+    las.write(path)
+    scan = read_scan(path)
+    assert np.abs(scan.points - points[~deleted]).max() < 1e-3
+    assert np.array_equal(scan.times, np.flatnonzero(~deleted))
+    assert sum(map(len, read_cloud(path))) == 800
+    wkt = 'PROJCS["here",GEOGCS["there",UNIT["degree",0.0174]],UNIT["{}",0.3]]'
+    keys = np.array([[1, 1, 0, 1], [3076, 0, 1, 9003]], "<u2").tobytes()
+    for vlr in (
+        laspy.VLR("LASF_Projection", 2112, "", wkt.format("US survey foot").encode()),
+        laspy.VLR("LASF_Projection", 34735, "", keys),
+    ):
+        las.header.vlrs[:] = [vlr]
+        las.write(path)
+        with pytest.raises(DatasetError, match=r"foot'.*convert it to metres"):
+            read_scan(path)
+        with pytest.raises(DatasetError, match=r"a\.laz: .*foot"):
+            list(read_cloud(path))
+    las.header.vlrs[:] = [laspy.VLR("LASF_Projection", 2112, "", wkt.format("metre").encode())]
+    las.write(path)
+    assert len(read_scan(path)) == 800
 
 
 def test_an_empty_bin_is_an_empty_scan_and_nuscenes_has_five_columns(tmp_path: Path) -> None:

@@ -172,6 +172,9 @@ def _absolute(
     times = samples[0][0]
     if factor == 1.0 and (times == times.astype(np.float32)).all():
         return _refuse("point times since 1970 are rounded to 128 s in float32")
+    whole = all((times * factor % 1.0 == 0.0).all() for times, _ in samples)
+    if whole and any(stamp % 1.0 for _, stamp in samples):
+        return _refuse("point times are whole seconds, without their other half")
     off = max(float(np.abs(times * factor - stamp).max()) for times, stamp in samples)
     if off > max(_SAME_CLOCK_S, _MAX_SHARE * (period_s or 0.0)):
         return _refuse(f"point times are {off:.3g} s off their scans' stamps")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,7 +85,7 @@ def _span(values: Float64) -> str:
 
 
 def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
-    """Build a track of stamped poses, except those not finite or not later than all before.
+    """Build a track of stamped poses, except those that are not finite or out of order.
 
     Raise DatasetError if none remains, or as :class:`Track` does.
     """
@@ -99,9 +100,25 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
 
 
 def rising(stamps: Float64) -> NDArray[np.bool_]:
-    """Return which stamps (N,) are later than all before them."""
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(stamps)[:-1]])
-    return np.asarray(stamps > before[: len(stamps)])
+    """Return the most stamps (N,) of which each is later than the one before, as a mask.
+
+    One that is wrong costs itself, and a clock that was set back the shorter of the two parts. The
+    longest rising subsequence, by the least last stamp of each length.
+    """
+    if (np.diff(stamps) > 0).all():
+        return np.ones(len(stamps), dtype=bool)
+    least, rows = list[float](), list[int]()
+    before = np.full(len(stamps), -1)
+    for row, stamp in enumerate(stamps.tolist()):
+        length = bisect_left(least, stamp)
+        if length < len(least) and least[length] == stamp:
+            continue  # of equal ones the first
+        before[row] = rows[length - 1] if length else -1
+        least[length : length + 1], rows[length : length + 1] = [stamp], [row]
+    kept, row = np.zeros(len(stamps), dtype=bool), rows[-1]
+    while row >= 0:
+        kept[row], row = True, int(before[row])
+    return kept
 
 
 def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:

@@ -160,9 +160,9 @@ def _write(out: Path, name: str, grid: Grid, corner: Float64, options: GridOptio
     height, width = grid.shape
     head = f"P5\n{width} {height}\n255\n".encode("ascii")
     write_bytes(out / f"{name}.pgm", head + grid[::-1].tobytes())
-    text = (
+    text = (  # unknown is 205: 1 - 205 / 255 is not below 0.196
         f"image: {name}.pgm\nmode: trinary\nresolution: {options.resolution_m:g}\n"
         f"origin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"
-        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     write_text(out / f"{name}.yaml", text)

@@ -77,10 +77,14 @@ def _files(where: Path) -> list[Path]:
         return [where]
     # A folder may be called map.pcd, as Autoware's is.
     found = list(where.rglob(GLIM))
-    found = found or [file for file in where.rglob("*") if file.is_file() and is_cloud(file)]
+    found = found or [file for file in where.rglob("*") if file.is_file() and _is_tile(file)]
     if not found:
         raise DatasetError(f"{where}: no point cloud in this folder")
     return sorted(found, key=lambda file: [natural_key(part) for part in file.parts])
+
+
+def _is_tile(file: Path) -> bool:
+    return is_cloud(file) and not file.name.startswith(".")  # "._a.pcd" of a Mac is none
 
 
 def count_points(path: Path) -> int:

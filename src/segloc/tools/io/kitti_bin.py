@@ -13,7 +13,8 @@ _WIDTHS = (4, 3, 5)  # KITTI's first
 _MIN_ROWS = 100
 _MANY_ROWS = 30_000
 _STEP = 61  # prime to all widths, so that samples of a wrong width mix all columns
-_MIN_RATIO = 1.5
+_MIN_CONTRAST = 1.5
+_OTHERS, _MUCH_MORE = (6, 7, 8), 4.0  # in 729 files of each kind at most 1.2, and at least 15
 _MAX_BEYOND = 0.01  # share of rows with implausible coordinates
 _RECORDS = {19: "Avia", 22: "Velodyne", 25: "early Aeva", 26: "Ouster", 29: "Aeva"}
 """Bytes per point of HeLiPR's files, which also end in .bin."""
@@ -33,9 +34,16 @@ def parse_kitti(data: bytes) -> Scan:
     values = _values(data)
     fitting = [width for width in _WIDTHS if len(values) % width == 0]
     default = fitting[:1] if fitting[:1] == [4] else []
-    widths = [width for width in fitting if _columns_differ(values.reshape(-1, width))] + default
+    widths = [width for width in fitting if _contrast(values, width) > _MIN_CONTRAST] + default
     if not widths:
         raise DatasetError(f"{len(data)} bytes are no multiple of rows of 4 float32")
+    mixed = _MUCH_MORE * _contrast(values, widths[0])
+    for width in _OTHERS:
+        if len(values) % width == 0 and _contrast(values, width) > mixed:
+            raise DatasetError(
+                f"rows of {width} float32, as of Boreas or Waymo: open the folder of the set, or "
+                "save x, y, z and reflectance"
+            )
     rows = values.reshape(-1, widths[0])
     check_points(len(rows))
     if _beyond(rows) > _MAX_BEYOND:
@@ -75,16 +83,18 @@ def _other_records(size: int) -> str:
     )
 
 
-def _columns_differ(rows: Float32) -> bool:
-    """Return whether the widest column spreads clearly wider than the narrowest."""
+def _contrast(values: Float32, width: int) -> float:
+    """Return how much wider the widest column spreads than the narrowest; 1 with few rows."""
+    rows = values.reshape(-1, width)
     sample = rows[:: _STEP if len(rows) > _MANY_ROWS else 1]
     with np.errstate(all="ignore"):
         sample = sample[np.isfinite(sample).all(axis=1)]
         if len(sample) < _MIN_ROWS:
-            return False
+            return 1.0
         low, high = np.percentile(sample.astype(np.float64), [10, 90], axis=0)
     spreads = high - low
-    return bool(spreads.max() > _MIN_RATIO * spreads.min())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(spreads.max() / spreads.min()) if spreads.max() else 1.0
 
 
 def format_kitti(points: Float32) -> bytes:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import mmap
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import DatasetError, requires
 from ...system.budget import check_points
@@ -114,6 +116,10 @@ RESOLUTION = 0.001
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # of point formats 0 to 10
 _COMPRESSED = 0x80
 _RUST_PANIC = "PanicException"  # of lazrs: neither an Exception nor importable
+_WKT, _GEO_KEYS = 2112, 34735
+_FOOT = re.compile(rb'UNIT\s*\[\s*"([^"]*(?:foot|feet|ft)[^"]*)"', re.I)
+_LINEAR_UNITS, _FEET = (3076, 4099), (9002, 9003)
+"""GeoTIFF keys of horizontal and vertical units, and their codes of feet."""
 _CHUNK = 1 << 18  # points decompressed at a time; the header's count is not trusted
 
 
@@ -153,7 +159,8 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
         with _reading(data, stream, header) as reader:
             for chunk in reader.chunk_iterator(size):
                 done += len(chunk)
-                steps = np.column_stack([chunk.array[axis] for axis in "XYZ"])
+                kept = _kept(chunk)
+                steps = np.column_stack([kept[axis] for axis in "XYZ"])
                 yield steps * reader.header.scales + reader.header.offsets
         require_points(header.points, done)
 
@@ -191,6 +198,7 @@ def _reading(data: Mapped, stream: BinaryIO, header: _Header) -> Iterator[laspy.
                 stream, read_evlrs=False, closefd=False, laz_backend=laspy.LazBackend.Lazrs
             ) as reader,
         ):
+            _require_metres(reader.header.vlrs)
             if header.compressed:
                 vlr = reader.header.vlrs.get("LasZipVlr")[0].record_data
                 place = stream.tell()
@@ -252,17 +260,47 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
     timed = "gps_time" in header.point_format.dimension_names
     points = np.empty((count, 3), dtype=np.float32)
     times = np.empty(count) if timed else None
-    done = 0
+    done = last = 0
     for chunk in reader.chunk_iterator(_CHUNK):
-        rows = slice(done, done + len(chunk))
+        kept = _kept(chunk)
+        rows = slice(last, last + len(kept))
         for i, axis in enumerate("XYZ"):
-            points[rows, i] = chunk.array[axis] * header.scales[i] + header.offsets[i]
+            points[rows, i] = kept[axis] * header.scales[i] + header.offsets[i]
         if times is not None:
-            times[rows] = chunk.array["gps_time"]
-        done += len(chunk)
+            times[rows] = kept["gps_time"]
+        done, last = done + len(chunk), last + len(kept)
     require_points(count, done)
     # Most point formats have a time field even if the writer knew no time.
-    return points, times if times is not None and times.any() else None
+    return points[:last], times[:last] if times is not None and times[:last].any() else None
+
+
+def _kept(chunk: laspy.ScaleAwarePointRecord) -> NDArray[Any]:
+    """Return the points that are not withheld, that is deleted (LAS 1.4 R15, section 2.6)."""
+    deleted = np.asarray(chunk["withheld"], dtype=bool)
+    points: NDArray[Any] = chunk.array
+    return points[~deleted] if deleted.any() else points
+
+
+def _require_metres(vlrs: Sequence[laspy.VLR]) -> None:
+    """Refuse a file whose coordinate system is in feet, by its WKT or GeoTIFF keys."""
+    for vlr in vlrs:
+        if vlr.user_id != "LASF_Projection":
+            continue
+        data = vlr.record_data_bytes()
+        if vlr.record_id == _WKT and (found := _FOOT.search(data)):
+            name = found[1].decode("ascii", "replace")
+        elif vlr.record_id == _GEO_KEYS:
+            keys = np.frombuffer(data[: len(data) // 8 * 8], "<u2").reshape(-1, 4)[1:]
+            units = keys[np.isin(keys[:, 0], _LINEAR_UNITS) & (keys[:, 1] == 0), 3]
+            if not np.isin(units, _FEET).any():
+                continue
+            name = "foot"
+        else:
+            continue
+        raise DatasetError(
+            f"the unit of its coordinate system is {name!r}: convert it to metres, as by "
+            "`las2las -target_meter` or PDAL"
+        )
 
 
 def format_laz(

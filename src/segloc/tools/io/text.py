@@ -196,25 +196,39 @@ def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[F
         yield np.empty((0, 3))
         return
     first, delimiter = _first_row(lines)
-    if all(_is_number(word) for word in first[:3]):
-        if len(first) < 3:
-            raise DatasetError(f"the first row has {len(first)} columns; x, y, z need 3")
-        columns = [0, 1, 2]
-    else:
-        columns = wanted_columns(first)
+    if not all(_is_number(word) for word in first[:3]):
+        names = first
         del lines[0]
+    elif len(first) < 3:
+        raise DatasetError(f"the first row has {len(first)} columns; x, y, z need 3")
+    else:
+        names = _names_above(data, comments, len(first))
+    columns = wanted_columns(names) if names else [0, 1, 2]
     # Text has no types: without a unit in the name times are taken as seconds.
-    scale = time_scale(first[columns[-1]], integer=False)
+    scale = time_scale(names[columns[-1]] if names else "", integer=False)
     for table in _tables(chain([lines], blocks), columns, len(first), delimiter):
         table[:, 3:] *= scale
         yield table
+
+
+def _names_above(data: Mapped, comments: tuple[str, ...], count: int) -> list[str]:
+    """Return the names of so many columns in the last comment before the first row, or none."""
+    last, head = "", data[:_MAX_LINE].decode("utf-8", "replace")
+    for line in map(str.strip, head.splitlines()):
+        if line and not (comments and line.startswith(comments)):
+            break
+        last = line or last
+    names = _first_row([last])[0] if last else []
+    return names if len(names) == count and {"x", "y", "z"} <= {*names} else []
 
 
 def field_names(head: bytes) -> list[str]:
     """Return the names of the columns by a file's first bytes; none without names."""
     lines = next(filter(None, _blocks(head, COMMENTS)), None)
     first = _first_row(lines)[0] if lines else []
-    return [] if any(_is_number(word) for word in first[:3]) else first
+    if any(_is_number(word) for word in first[:3]):
+        return _names_above(head, COMMENTS, len(first))
+    return first
 
 
 def _first_row(lines: list[str]) -> tuple[list[str], str | None]:

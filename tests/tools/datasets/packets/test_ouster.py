@@ -145,6 +145,15 @@ def test_two_sensors_are_told_by_their_ports(tmp_path: Path) -> None:
         check(open_sequence(path, topic=name).scan(1), sensor, 1)
 
 
+def test_several_sensors_that_metadata_do_not_tell_apart_are_refused(tmp_path: Path) -> None:
+    sensor, path = Ouster(), tmp_path / "drive.pcap"
+    both = recorded(path, sensor, 2, "old").read_bytes()
+    both += capture(tmp_path / "b", sensor.packets(2), port=7504).read_bytes()[24:]
+    path.write_bytes(both)
+    with pytest.raises(DatasetError, match=r"several sensors, 10\.0\.0\.1:7502, 10\.0\.0\.1:7504"):
+        open_sequence(path)
+
+
 def test_metadata_and_captures_that_are_wrong(tmp_path: Path) -> None:
     sensor = Ouster()
     path = recorded(tmp_path / "drive.pcap", sensor, 2)

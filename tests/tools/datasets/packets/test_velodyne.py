@@ -56,8 +56,37 @@ def test_a_vlp16_that_names_itself_another_sensor(tmp_path: Path) -> None:
     told = open_sequence(early, topic="HDL32E").scan(0)
     low = np.degrees(np.arcsin(told.points[:, 2] / np.linalg.norm(told.points, axis=1))).min()
     assert low < -30.0
-    with pytest.raises(DatasetError, match="no model 'VLP17'; supported: HDL32E, VLP16"):
+    with pytest.raises(DatasetError, match="no model or sensor 'VLP17'; supported: HDL32E, VLP16"):
         open_sequence(early, topic="VLP17")
+
+
+def test_one_of_several_sensors_is_chosen(tmp_path: Path) -> None:
+    both = capture(tmp_path / "both.pcap", packets(2.0), ports=(2368, 2369))
+    with pytest.raises(DatasetError, match=r"--topic 10\.0\.0\.1:2368\|10\.0\.0\.1:2369"):
+        open_sequence(both)
+    for port in (2368, 2369):
+        scan = open_sequence(both, topic=f"10.0.0.1:{port}").scan(0)
+        assert len(scan) == 1800 * 16
+        check(scan.points, scan.times)
+
+
+def test_packets_that_change_places_stay_in_their_turn(tmp_path: Path) -> None:
+    sent = packets(3.0)
+    for k in (30, 74, 100):  # 74 and 75 belong to two turns
+        sent[k], sent[k + 1] = sent[k + 1], sent[k]
+    sequence = open_sequence(capture(tmp_path / "drive.pcap", sent))
+    assert [len(sequence.scan(i)) for i in range(len(sequence))] == [1800 * 16] * 3
+
+
+def test_what_follows_damage_is_missed(tmp_path: Path) -> None:
+    path = capture(tmp_path / "drive.pcap", packets(9.0))
+    whole = bytearray(path.read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 4096] = bytes([255]) * 4096
+    path.write_bytes(whole)
+    sequence = open_sequence(path)
+    assert len(sequence) == 5
+    assert any("damaged at byte" in note and "0.4 MB" in note for note in sequence.notes)
 
 
 def test_a_real_capture_of_early_firmware() -> None:

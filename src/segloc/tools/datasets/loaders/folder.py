@@ -84,16 +84,19 @@ def _scan_paths(folder: Path, poses: Path | None) -> tuple[list[Path], list[str]
         if scan_suffix(path) and path.name[0] != "." and not (poses and _same(path, poses))
     ]
     others = [path for path in scans if scan_suffix(path) not in _TEXT_SUFFIXES]
-    if others:
-        return sorted(others, key=lambda path: natural_key(path.name)), []
-    if not scans or inner:
+    notes = list[str]()
+    if (lost := len(scans) - len(others)) > len(others) > 0:
+        kinds = ", ".join(sorted({str(scan_suffix(path)) for path in others}))
+        notes = [f"{lost} .csv and .txt files left out: scans are those in {kinds}"]
+    scans = others or scans
+    if not scans or (inner and not others):
         below = f"; scans found in subfolders: {inner}" if inner else f"; {known_formats()}"
         raise DatasetError(
             f"{folder}: no scans of a known format among its {len(files)} files"
             f"{_suffixes(files)}{below}"
         )
-    numbered, notes = _without_sidecars(scans)
-    return sorted(numbered, key=lambda path: natural_key(path.name)), notes
+    numbered, left_out = _without_sidecars(scans)
+    return sorted(numbered, key=lambda path: natural_key(path.name)), [*notes, *left_out]
 
 
 def known_formats() -> str:
@@ -125,12 +128,12 @@ def _inner(folder: Path) -> str:
     return ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
 
 
-def _without_sidecars(texts: list[Path]) -> tuple[list[Path], list[str]]:
-    """Drop text files without a number if most others have one: they are tables."""
-    numbered = [path for path in texts if _DIGITS.search(_stem(path))]
-    if len(numbered) < 2 or len(numbered) <= len(texts) // 2:
-        return texts, []
-    left = sorted(path.name for path in texts if path not in numbered)
+def _without_sidecars(files: list[Path]) -> tuple[list[Path], list[str]]:
+    """Drop files without a number if most others have one: they are tables, or a map."""
+    numbered = [path for path in files if _DIGITS.search(_stem(path))]
+    if len(numbered) < 2 or len(numbered) <= len(files) // 2:
+        return files, []
+    left = sorted(path.name for path in files if path not in numbered)
     return numbered, [f"{name} left out: no number in its name" for name in left]
 
 

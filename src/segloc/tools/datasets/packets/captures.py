@@ -30,6 +30,7 @@ _ETHERNET = 1
 _VLAN = (b"\x81\x00", b"\x88\xa8")
 _UDP = 17
 _MAX_PENDING = 64  # incomplete datagrams kept
+_MAX_PACKET = 1 << 18  # bytes, of libpcap; more is left only after a damaged header
 
 
 class Record(NamedTuple):
@@ -46,6 +47,7 @@ class Datagram(NamedTuple):
     stamp: float  # of its first fragment [s]
     first: int  # offset of its first record in the file
     stop: int  # offset after its last record
+    sender: str  # address, and destination port: one sensor
     port: int  # destination
     pieces: list[tuple[int, int]]  # start and size of each part of the payload
 
@@ -74,8 +76,16 @@ def map_file(path: Path) -> Iterator[mmap.mmap]:
         yield data
 
 
-def records(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> Iterator[Record]:
-    """Yield the packets between two offsets of a capture, except a truncated one."""
+def records(
+    data: mmap.mmap,
+    first: int = _HEADER,
+    stop: int | None = None,
+    notes: list[str] | None = None,
+) -> Iterator[Record]:
+    """Yield the packets between two offsets of a capture, except a truncated one.
+
+    ``notes`` gets a line if much is left that cannot be read.
+    """
     order, unit = _ORDERS[data[:4]]
     head = struct.Struct(f"{order}IIII")
     end = len(data) if stop is None else min(stop, len(data))
@@ -84,22 +94,33 @@ def records(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> I
         seconds, fraction, size, _ = head.unpack_from(data, place)
         place += head.size + size
         if place > end:
+            left = end - (place - size)
+            if notes is not None and left > _MAX_PACKET:
+                notes.append(f"damaged at byte {end - left}: {left / 1e6:.1f} MB after it left out")
             break
         yield Record(seconds + unit * fraction, place - size, size)
 
 
-def datagrams(data: mmap.mmap, first: int = _HEADER, stop: int | None = None) -> Iterator[Datagram]:
-    """Yield the UDP datagrams over IPv4 between two offsets of a capture, by their ends."""
+def datagrams(
+    data: mmap.mmap,
+    first: int = _HEADER,
+    stop: int | None = None,
+    notes: list[str] | None = None,
+) -> Iterator[Datagram]:
+    """Yield the UDP datagrams over IPv4 between two offsets of a capture, by their ends.
+
+    ``notes`` is that of :func:`records`.
+    """
     order, _ = _ORDERS[data[:4]]
     (link,) = struct.unpack_from(f"{order}I", data, 20)
     pending: dict[bytes, _Parts] = {}
-    for record in records(data, first, stop):
+    for record in records(data, first, stop, notes):
         found = _ip(data, record, link & 0xFFFF)
         if found is None:
             continue
         key, offset, more, start, size = found
         parts = pending.pop(key, None) if offset or more else None
-        parts = parts or _Parts(record)
+        parts = parts or _Parts(record, source=key[2:6])
         parts.add(offset, start, size, more, record)
         if parts.whole:
             if (datagram := parts.datagram(data)) is not None:
@@ -131,7 +152,8 @@ def _ip(data: mmap.mmap, record: Record, link: int) -> tuple[bytes, int, bool, i
 class _Parts:
     """The fragments of a datagram."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: Record, source: bytes) -> None:
+        self._source = ".".join(map(str, source))
         self._first, self._stamp = record.start - 16, record.stamp
         self._stop, self._total, self._size = 0, -1, 0
         self._parts: dict[int, tuple[int, int]] = {}
@@ -155,4 +177,5 @@ class _Parts:
             return None
         (port,) = struct.unpack_from(">H", data, start + 2)
         pieces[0] = (start + 8, size - 8)
-        return Datagram(self._stamp, self._first, self._stop, port, pieces)
+        sender = f"{self._source}:{port}"
+        return Datagram(self._stamp, self._first, self._stop, sender, port, pieces)

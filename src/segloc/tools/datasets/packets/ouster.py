@@ -43,8 +43,8 @@ def find(path: Path, topic: str | None) -> Found:
     sensor = read_sensor(read_file(present[name]), str(present[name]))
     count = 0
     with map_file(path) as data:
-        packets, accelerations = [], []
-        for datagram in datagrams(data):
+        packets, accelerations, notes, senders = [], [], list[str](), dict[str, None]()
+        for datagram in datagrams(data, notes=notes):
             count += 1
             if sensor.is_imu(datagram.size, datagram.port):
                 row = (datagram.stamp, *sensor.acceleration(datagram.content(data)))
@@ -52,7 +52,13 @@ def find(path: Path, topic: str | None) -> Found:
             if sensor.is_lidar(datagram.size, datagram.port):
                 number = sensor.frame_id(datagram.content(data))
                 packets.append((number, datagram.stamp, datagram.first, datagram.stop))
+                senders[datagram.sender] = None
         turns = gather(packets, sensor)
+    if len(senders) > 1:
+        raise DatasetError(
+            f"{path}: packets of several sensors, {', '.join(senders)}: keep those of one, as by "
+            "`tcpdump -r CAPTURE -w ONE src host ADDRESS`"
+        )
     if not len(turns):
         to = f" to port {sensor.port}" if sensor.port else ""
         raise DatasetError(
@@ -68,7 +74,7 @@ def find(path: Path, topic: str | None) -> Found:
         topic=name if len(present) > 1 else None,
         frame=FRAME,
         fields=FIELDS,
-        notes=turns.notes,
+        notes=(*turns.notes, *notes),
         gravity=_gravity(accelerations, turns),
     )
 

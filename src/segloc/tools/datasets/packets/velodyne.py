@@ -16,9 +16,9 @@ from ....errors import DatasetError, requires
 from ....system.budget import check_points
 from ....types import Float64, Int64, Scan
 from ...io.fields import faults_of, one_line
-from ..layout import drop_missing_returns
+from ..layout import choose, drop_missing_returns
 from ..recorded import Found
-from .captures import map_file, records
+from .captures import datagrams, map_file
 
 NAME = "Velodyne packets"
 INNER: tuple[str, ...] = ()
@@ -30,6 +30,9 @@ _PRODUCTS = {"HDL32E": 0x21, "VLP16": 0x22, "PuckHiRes": 0x24, "VLP32C": 0x28}
 _MAX_HDL32E_US = 70.0
 """Time per step of the azimuth [us]. A block of the HDL-32E holds one firing of 32 lasers, 46 us; a
 block of the VLP-16 holds two of 16 lasers, 111 us."""
+_TURN, _LATE = 36000, 2000
+"""A turn, and how far a packet may be behind the one before: the network exchanged them [0.01 deg].
+"""
 _MIN_PACKETS = 8  # per turn; turns at the ends of a capture have fewer
 
 
@@ -38,15 +41,20 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path, topic: str | None) -> Found:
-    """List the turns.
+    """List the turns of one sensor.
 
-    ``topic`` may override the sensor model named in the packets: HDL32E, VLP16, PuckHiRes or
-    VLP32C.
+    ``topic`` chooses one of several by address and port, or overrides the sensor model named in the
+    packets: HDL32E, VLP16, PuckHiRes or VLP32C.
     """
-    if topic is not None and topic not in _PRODUCTS:
-        raise DatasetError(f"{path}: no model {topic!r}; supported: {', '.join(_PRODUCTS)}")
-    stamps, places, azimuths = _packets(path)
-    turns = turns_of(azimuths)
+    model, notes = topic if topic in _PRODUCTS else None, list[str]()
+    senders = _packets(path, notes)
+    if topic not in (None, model, *senders):
+        known = ", ".join((*_PRODUCTS, *senders))
+        raise DatasetError(f"{path}: no model or sensor {topic!r}; supported: {known}")
+    own = choose(path, list(senders), None if model else topic) if senders else ""
+    stamps, places, azimuths = senders.get(own, _NOTHING)
+    order, turns = _turns_of(azimuths)
+    stamps, places = stamps[order], places[order]
     if not len(turns):
         raise DatasetError(
             f"{path}: no Velodyne turn among its {len(places)} packets, and no Ouster metadata "
@@ -55,34 +63,52 @@ def find(path: Path, topic: str | None) -> Found:
     return Found(
         name=path.stem,
         format=NAME,
-        source=TurnSource(path, stamps, places, turns, topic),
+        source=TurnSource(path, stamps, places, turns, model),
         indices=np.arange(len(turns)),
         stamps=stamps[turns[:, 0]],
         frame="velodyne",
         fields="x y z intensity ring time",
         topic=topic,
+        notes=tuple(notes),
     )
 
 
-def turns_of(azimuths: Int64) -> Int64:
-    """Return the first packet of each turn and the one after its last, (T, 2), from azimuths."""
-    wraps = np.flatnonzero(np.diff(azimuths) < 0) + 1
-    bounds = np.concatenate([[0], wraps, [len(azimuths)]])
-    turns = np.column_stack([bounds[:-1], bounds[1:]])
-    return np.asarray(turns[turns[:, 1] - turns[:, 0] >= _MIN_PACKETS], dtype=np.int64)
+def _turns_of(azimuths: Int64) -> tuple[Int64, Int64]:
+    """Return the order of packets by how far the sensor turned, and the turns.
+
+    Each turn is its first packet of that order and the one after its last, (T, 2).
+    """
+    steps = np.diff(azimuths, prepend=azimuths[:1]) % _TURN
+    turned = azimuths[:1] + np.cumsum(np.where(steps > _TURN - _LATE, steps - _TURN, steps))
+    order = np.argsort(turned, kind="stable")
+    starts = np.flatnonzero(np.diff(turned[order] // _TURN)) + 1
+    bounds = np.concatenate([[0], starts, [len(azimuths)]])
+    turns = np.column_stack([bounds[:-1], bounds[1:]]).astype(np.int64)
+    return order, turns[turns[:, 1] - turns[:, 0] >= _MIN_PACKETS]
 
 
-def _packets(path: Path) -> tuple[Float64, Int64, Int64]:
-    """Return stamps, file offsets and first azimuths [0.01 deg] of data packets."""
-    stamps, places, azimuths = [], [], []
+_Packets = tuple[Float64, Int64, Int64]
+_NOTHING: _Packets = np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64)
+
+
+def _packets(path: Path, notes: list[str]) -> dict[str, _Packets]:
+    """Return stamps, file offsets and first azimuths [0.01 deg] of data packets by sender."""
+    found: dict[str, list[tuple[float, int, int]]] = {}
     with map_file(path) as data:
-        for stamp, start, size in records(data):
-            place = start + size - PACKET
-            if size >= PACKET and data[place : place + 2] == _BLOCK:
-                stamps.append(stamp)
-                places.append(place)
-                azimuths.append(int.from_bytes(data[place + 2 : place + 4], "little"))
-    return np.array(stamps, np.float64), np.array(places, np.int64), np.array(azimuths, np.int64)
+        for datagram in datagrams(data, notes=notes):
+            ((place, size), *more) = datagram.pieces
+            if size == PACKET and not more and data[place : place + 2] == _BLOCK:
+                azimuth = int.from_bytes(data[place + 2 : place + 4], "little")
+                found.setdefault(datagram.sender, []).append((datagram.stamp, place, azimuth))
+    columns = {sender: tuple(zip(*rows, strict=True)) for sender, rows in found.items()}
+    return {
+        sender: (
+            np.array(stamps, np.float64),
+            np.array(places, np.int64),
+            np.array(turned, np.int64),
+        )
+        for sender, (stamps, places, turned) in columns.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def on(reader: BagReader, topic: str) -> bool:
 
 def is_imu(item: Any) -> bool:
     """Return whether a connection has Ouster IMU packets."""
-    return item.msgtype in KINDS and "imu" in item.topic
+    return item.msgtype in KINDS and "imu" in item.topic.rpartition("/")[2]
 
 
 def find(reader: BagReader, paths: tuple[Path, ...], topic: str, name: str, storage: str) -> Found:
