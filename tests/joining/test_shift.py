@@ -26,6 +26,7 @@ FRAMES = {
     "turned": geometry.yaw_transform(np.radians(3.0)),
 }
 """Frames of the session's poses in that of the map."""
+STOREY = geometry.yaw_transform(0.0, (0.1, 0.0, 3.2))
 OFF = ("shifted", "turned")
 
 
@@ -48,7 +49,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     as_folder(root / "first", PlazaSequence(plaza, steps=12))
     walk = later(plaza)
     as_folder(root / "later", walk)
-    for name, frame in FRAMES.items():
+    for name, frame in {**FRAMES, "above": STOREY}.items():
         write_tum(root / "later" / f"{name}.tum", Trajectory(walk.indices, frame @ walk.poses))
         built(root / "later", f"{name}.tum", root / f"{name}.segmap")
     far = PlazaSequence(Plaza(5), steps=6)
@@ -146,6 +147,18 @@ def test_a_merge_and_a_build(root: Path, site: Path, capsys: pytest.CaptureFixtu
     assert worst_m(SegmentMap.load(out)) < 0.3
     assert run(*build, "right.tum", "--out", out) == 0
     assert run("map", "merge", site, root / "shifted.segmap", "--out", out, "--unchecked") == 0
+
+
+def test_a_storey_that_looks_like_another_is_joined(
+    root: Path, site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    merge = ["map", "merge", site, root / "above.segmap", "--out", "two.segmap"]
+    assert run(*merge) == 1
+    assert "--elsewhere" in capsys.readouterr().err
+    assert run(*merge, "--elsewhere") == 0
+    assert "look like those above or below in the map" in " ".join(capsys.readouterr().err.split())
+    heights = SegmentMap.load("two.segmap").trajectory[:, 2, 3]
+    assert np.ptp(heights) > 3.0
 
 
 def test_a_session_elsewhere_is_noted(

@@ -131,13 +131,19 @@ def test_the_command_writes_all_of_it(
     walks: list[Walk], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folders = [
-        as_folder(tmp_path / walk.name, drifted(walk, walk.poses, k), "odometry.tum")
+        as_folder(tmp_path / f"${walk.name}_$DATE", drifted(walk, walk.poses, k), "odometry.tum")
         for k, walk in enumerate(walks)
     ]
     out = tmp_path / "out"
+    out.mkdir()
+    earlier = {"sessions": [{}] * 5, "components": [[0]] * 4}
+    (out / "alignment.json").write_text(json.dumps(earlier))
+    for name in ("session_4.tum", "odometry_3.tum", "site_3.segmap", "session_5.tum"):
+        (out / name).touch()
     assert run("align", *folders, "--poses", "odometry.tum", "--out", out, "--threads", 1) == 0
+    assert {path.name for path in out.iterdir() if path.stat().st_size == 0} == {"session_5.tum"}
     output = capsys.readouterr()
-    assert "session 2 (other) has no loops" in " ".join(output.err.split())
+    assert "session 2 ($other_$DATE) has no loops" in " ".join(output.err.split())
     facts = json.loads((out / "alignment.json").read_text())
     assert facts["components"] == [[0, 1], [2]]
     assert facts["residual_after"]["median_m"] < 0.1

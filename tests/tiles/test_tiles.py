@@ -18,9 +18,10 @@ from samples.maps import repeated, town
 from samples.plaza import Plaza, PlazaSequence
 
 from segloc import Config, Localizer, Prior, Reason, SegmentMap, Tracker, build_map, geometry
-from segloc.errors import ConfigError, MapFormatError, SeglocError
+from segloc.errors import ConfigError, MapFormatError, MapMismatch, SeglocError
 from segloc.joining.update import update_map
 from segloc.map.compact import CompactConfig, compacted
+from segloc.map.config import MappingConfig
 from segloc.map.segment_map import along, part_where, with_parts
 from segloc.tiles import (
     TiledLocalizer,
@@ -99,9 +100,11 @@ def test_whoever_cuts_it_is_the_same(whole: SegmentMap, cut: Path, tmp_path: Pat
 
 def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in cut.iterdir()}
-    opened = TiledMap(cut)
+    opened, others = TiledMap(cut), ("tile_roof.segmap", "coarse-2025.segmap", "tile_0_0.segmap")
+    for name in others:
+        whole.save(cut / name)
     cut_tiles(whole, cut, size_m=50.0, margin_m=20.0)
-    after = {path.name: path.stat().st_mtime_ns for path in cut.iterdir()}
+    after = {path.name: path.stat().st_mtime_ns for path in cut.iterdir() if path.name in before}
     assert {n: t for n, t in before.items() if n != INDEX} == {
         n: t for n, t in after.items() if n != INDEX
     }
@@ -113,7 +116,7 @@ def test_cutting_again_replaces_what_changed_alone(whole: SegmentMap, cut: Path)
     assert len(opened.together(opened.index.tiles)) > len(changed) / 2  # old files are still there
     cut_tiles(changed, cut, size_m=50.0, margin_m=20.0)
     files = {path.name for path in cut.iterdir() if path.suffix == ".segmap"}
-    assert files == {index.coarse.file, *(tile.file for tile in index.tiles)}
+    assert files == {index.coarse.file, *(tile.file for tile in index.tiles), *others}
 
 
 # --- what is missing, damaged or slow -------------------------------------------------------------
@@ -310,6 +313,15 @@ def test_a_merge_writes_the_tiles_that_it_reaches(whole: SegmentMap, tmp_path: P
     assert [t.cell for t in found.index.tiles] == [t.cell for t in expected.index.tiles]
     assert rows(found.together(found.index.tiles)) == rows(expected.together(expected.index.tiles))
     assert len(found.coarse().trajectory) == len(expected.coarse().trajectory)
+
+
+def test_a_map_of_coarser_voxels_is_not_merged(cut: Path, plaza: Plaza) -> None:
+    before = {path.name for path in cut.iterdir()}
+    config = Config.preset("geo").model_copy(update={"mapping": MappingConfig(cloud_voxel=0.6)})
+    coarse = build_map(PlazaSequence(plaza, steps=4), config)
+    with pytest.raises(MapMismatch, match=r"0\.6 m, .* build it with mapping\.cloud_voxel: 0\.3"):
+        merge_into_tiles(cut, coarse, unchecked=True)
+    assert {path.name for path in cut.iterdir()} == before
 
 
 def test_a_change_that_fails_leaves_the_tiles(

@@ -43,6 +43,39 @@ def test_a_mirror_image_is_refused(site: LandmarkMap) -> None:
     assert not answer.localized
 
 
+def test_columns_of_two_storeys_are_told_apart() -> None:
+    """They stand above each other, so no answer is right beyond doubt, and none may be false."""
+    rng = np.random.default_rng(1)
+    feet, diameters = rng.uniform(-40, 40, (150, 2)), rng.uniform(0.2, 0.6, 150)
+
+    def seen(storey_m: float, T: Pose) -> Landmarks:
+        columns = np.column_stack([feet, np.full(150, storey_m)])
+        local = geometry.transform(geometry.inverse(T), columns)
+        near = np.hypot(local[:, 0], local[:, 1]) < 20
+        noise = rng.normal(0, 0.03, (near.sum(), 3))
+        return Landmarks(local[near] + noise, None, diameters[near])
+
+    def at(x: float, y: float, storey_m: float) -> Pose:
+        return geometry.yaw_transform(rng.uniform(-3, 3), (x, y, storey_m + 1.0))
+
+    drives = {
+        storey_m: [at(x, y, storey_m) for x in range(-20, 21, 5) for y in (0, 3)]
+        for storey_m in (0.0, 3.2)
+    }
+    for storeys, fewest in (((0.0,), 20), ((0.0, 3.2), 0)):
+        views = [(seen(z, T), T) for z in storeys for T in drives[z]]
+        localizer = LandmarkLocalizer(LandmarkMap.build(views))
+        found = 0
+        for k in range(20):
+            z = storeys[k % len(storeys)]
+            T = at(rng.uniform(-18, 18), rng.uniform(-3, 3), z)
+            answer = localizer.localize(seen(z, T))
+            if answer.localized:
+                check_found(answer, T)
+                found += 1
+        assert found >= fewest
+
+
 def test_a_pose_is_found_in_any_order_of_the_landmarks(localizer: LandmarkLocalizer) -> None:
     query = stems.seen(stems.stand(1), POSES[1])
     assert query.diameters is not None

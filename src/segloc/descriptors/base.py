@@ -186,5 +186,8 @@ def _entry(name: str) -> _Entry:
         raise ConfigError(f"descriptor {name!r} cannot be loaded ({fault})")
     if name not in _entries:
         known = ", ".join(sorted(_entries))
-        raise ConfigError(f"no method {name!r}: install its plug-in, or choose of {known}")
+        raise ConfigError(
+            f"no method {name!r}: install its plug-in, or choose of {known}; maps of some plug-ins "
+            "are for their own commands (segloc --help)"
+        )
     return _entries[name]

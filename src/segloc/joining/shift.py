@@ -22,6 +22,7 @@ from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.text import quantity
 from ..types import Float64, LocalCloud, Pose, Recording
+from .same_place import MEET_HEIGHT_M, MEET_M
 
 MAX_SHIFT_M, MAX_TURN_DEG = 0.5, 1.0
 """Largest median shift and turn of a session that is added to a map."""
@@ -52,6 +53,8 @@ class Shift:
         Median distance and angle between the poses of those localized and the answers; 0 if none.
     why : str
         Reason if no cloud was searched.
+    storeys : int
+        Number of clouds that were localized above or below, on a storey that looks alike.
     """
 
     clouds: int
@@ -59,12 +62,13 @@ class Shift:
     shift_m: float
     turn_deg: float
     why: str = ""
+    storeys: int = 0
 
     @classmethod
-    def of(cls, clouds: int, displacements: list[tuple[float, float]]) -> Shift:
+    def of(cls, clouds: int, displacements: list[tuple[float, float]], storeys: int = 0) -> Shift:
         """Return the medians of (shift [m], turn [deg])."""
-        middle = np.median(displacements, axis=0) if displacements else np.zeros(2)
-        return cls(clouds, len(displacements), float(middle[0]), float(middle[1]))
+        shift_m, turn_deg = np.median(displacements, axis=0) if displacements else np.zeros(2)
+        return cls(clouds, len(displacements), float(shift_m), float(turn_deg), storeys=storeys)
 
     @classmethod
     def unknown(cls, why: str) -> Shift:
@@ -81,6 +85,11 @@ class Shift:
         """Return why the shift is not known, "" if it is."""
         if self.is_known:
             return ""
+        if self.storeys:
+            return (
+                f"{self.storeys} of {quantity(self.clouds, 'places')} along it look like those "
+                "above or below in the map: another storey, unless its heights are wrong"
+            )
         return self.why or (
             f"{self.localized} of {quantity(self.clouds, 'places')} along it are localized in the "
             "map: it is elsewhere, or the place looks too different"
@@ -166,15 +175,23 @@ def measure_shift(
     except (MapMismatch, WeightsError) as error:
         return Shift.unknown(str(error))
     chosen, near_m = _stations(path, prior_map.trajectory)
-    displacements = []
+    displacements, storeys = [], 0
     for done, (T_map_sensor, cloud) in enumerate(_clouds(session, chosen, opened.config), 1):
         near = Prior(T_map_sensor[:2, 3], near_m, anywhere=True) if near_m else None
         answer = opened.locate(opened.describe(cloud), near=near)
-        if answer.localized:
+        if answer.localized and _is_storey_apart(T_map_sensor, answer.T_map_sensor):
+            storeys += 1
+        elif answer.localized:
             displacements.append(_displacement(T_map_sensor, answer.T_map_sensor))
         if progress:
             progress(done, len(chosen))
-    return Shift.of(len(chosen), displacements)
+    return Shift.of(len(chosen), displacements, storeys)
+
+
+def _is_storey_apart(T_map_sensor: Pose, T_answer: Pose) -> bool:
+    """Return whether an answer is right above or below the pose, as where storeys are alike."""
+    x, y, z = T_answer[:3, 3] - T_map_sensor[:3, 3]
+    return bool(abs(z) > MEET_HEIGHT_M and np.hypot(x, y) < MEET_M)
 
 
 def _settings(prior_map: SegmentMap, config: BuildConfig | None) -> Config:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -37,6 +38,9 @@ COARSE = CompactConfig(bits=4, max_views=1, cloud_bits=0)
 
 AT_ONCE = 64
 """Tiles in memory at a time."""
+
+_OURS = re.compile(r"(?:coarse|tile_-?\d+_-?\d+)-[0-9a-f]{32}\.segmap")
+"""Names of files that :func:`write_tile` gives; maps of others may lie beside them."""
 
 Cell = tuple[int, int]
 
@@ -140,8 +144,7 @@ def publish(store: Store, index: TileIndex) -> None:
         named.update(_file_names(TileIndex.parse(store.read(INDEX, MAX_INDEX_BYTES), store.where)))
     store.write(INDEX, index.model_dump_json(indent=1).encode())
     for name in store.names():
-        ours = name.endswith(".segmap") and name.startswith(("tile_", "coarse-"))
-        if ours and name not in named:
+        if _OURS.fullmatch(name) and name not in named:
             store.remove(name)
 
 

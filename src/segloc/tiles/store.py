@@ -249,7 +249,9 @@ class Reader:
         except TimeoutError as error:
             raise MapFormatError(f"{where}: no answer within {self._timeout_s:g} s") from error
         except FileNotFoundError as error:
-            raise MapFormatError(f"{where}: no such file") from error
+            raise MapFormatError(
+                f"{where}: no such file; if the tiles were changed twice since, open them again"
+            ) from error
         except Exception as error:  # of any library behind fsspec
             raise MapFormatError(f"{where}: cannot be read: {one_line(error)}") from error
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from segloc import SegmentMap, geometry
 from segloc.errors import SeglocError
 from segloc.tools.datasets import open_sequence
-from segloc.tools.inspect import viewer
+from segloc.tools.inspect import pictures, viewer
 from segloc.tools.inspect.following import (
     SO_FAR,
     Moment,
@@ -86,6 +86,22 @@ def test_viewpoints_of_a_finished_cloud_are_points_and_no_trajectory() -> None:
         axes = prior_map.plot(axes_of().add_subplot())
         (label,) = axes.get_legend_handles_labels()[1]
         assert label == words.replace("mapped trajectory", "trajectory of the map")
+
+
+def test_names_of_folders_are_no_formulas() -> None:
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    axes = figure.add_subplot()
+    axes.plot([0, 1], label="$SITE_$DATE")
+    pictures.title(figure, "$SITE_$DATE")
+    pictures.legend(axes)
+    figure.savefig(io.BytesIO())
+
+
+def test_results_that_are_no_text_are_named(tmp_path: Path) -> None:
+    for name, read in (("localizations.jsonl", read_results), ("states.jsonl", read_moments)):
+        (tmp_path / name).write_bytes(b"\xff\xfe\n")
+        with pytest.raises(SeglocError, match=re.escape(str(tmp_path))):
+            read(tmp_path)
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ _MIN_RELATIVE_SUPPORT = 0.5
 """Coarse support of a candidate to be refined, relative to the support of the first."""
 _TOLERANCE_STEPS = (2.0, 1.4, 1.0)
 """Tolerance of each step of the refinement, in tolerances."""
+_STOREYS = 4  # map landmarks above each other
 _MIN_PAIRS = 3
 _MIN_PAIRS_TILT = 8
 """Fewest pairs to fit roll and pitch; with fewer, the median axis is more accurate."""
@@ -152,12 +153,19 @@ class MapLandmarks:
         return T
 
     def _pairs(self, query: Float64, T: Pose, radius: float) -> tuple[Int64, Int64, Float64]:
-        """Return query landmarks, their nearest map landmarks, and the distances."""
+        """Return query landmarks, their nearest map landmarks at their height, and the distances.
+
+        Those of other storeys may be nearer, seen from above.
+        """
         moved = geometry.transform(T, query[:, :3])
-        distances, mapped = nearest(self._tree, moved[:, :2], within=radius)
-        rows = np.flatnonzero(np.isfinite(distances))
-        height = np.abs(moved[rows, 2] - self._positions[mapped[rows], 2])
-        rows = rows[height < self._config.height_tolerance]
+        each, count = np.arange(len(moved)), min(_STOREYS, len(self._positions))
+        gaps, near = nearest(self._tree, moved[:, :2], count, radius)
+        gaps, near = gaps.reshape(-1, count), near.reshape(-1, count)
+        there = self._positions[np.minimum(near, len(self._positions) - 1), 2]
+        level = np.abs(moved[:, 2, None] - there) < self._config.height_tolerance
+        best = np.where(level, gaps, np.inf).argmin(axis=1)
+        mapped, distances = near[each, best], gaps[each, best]
+        rows = np.flatnonzero(level[each, best] & np.isfinite(distances))
         return rows, mapped[rows], distances[rows]
 
 

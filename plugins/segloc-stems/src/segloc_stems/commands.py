@@ -48,6 +48,8 @@ def build(
             mapper.add(find_stems(recording.scan(i)), recording.poses[i])
             update(i + 1, len(recording))
     site = mapper.map()
+    if not len(site):
+        raise DatasetError(f"{sequence}: no stems, poles or columns in {len(recording)} scans")
     site.save(out)
     print(f"{out}: {len(site)} stems of {len(recording)} scans")
 

@@ -119,7 +119,7 @@ class LandmarkMap:
         if contents.fingerprint != FINGERPRINT or contents.arrays["vectors"].shape[1] != 4:
             raise MapFormatError(
                 f"{path}: a map of {contents.descriptor}, not of landmarks: "
-                "load it by SegmentMap.load(path)"
+                "pass it to `segloc localize`, or load it by SegmentMap.load(path)"
             )
         arrays = contents.arrays
         vectors = arrays["vectors"].astype(np.float64)

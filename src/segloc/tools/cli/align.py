@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -174,8 +175,20 @@ def _write_poses(
     for name, tracks in (("session", alignment.poses), ("odometry", alignment.odometry)):
         for k, (indices, poses) in enumerate(zip(alignment.indices, tracks, strict=True)):
             write_tum(out / f"{name}_{k}.tum", Trajectory(indices.astype(float), poses))
+    _remove_earlier(out, facts)
     facts = {**facts, "odometry": settings.model_dump(include=_NOISE)}
     write_text(out / "alignment.json", json.dumps(facts, indent=2) + "\n")
+
+
+def _remove_earlier(out: Path, facts: dict[str, Any]) -> None:
+    """Remove files of sessions and components that an earlier run there had beyond these."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        earlier = json.loads((out / "alignment.json").read_text("utf-8"))
+        for k in range(len(facts["sessions"]), len(earlier["sessions"])):
+            for name in ("session", "odometry"):
+                (out / f"{name}_{k}.tum").unlink(missing_ok=True)
+        for c in range(len(facts["components"]), len(earlier["components"])):
+            (out / _map_name(c)).unlink(missing_ok=True)
 
 
 def write_alignment(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .console import progress, table
+from .console import note, progress, table
 
 
 def tile(
@@ -27,10 +27,16 @@ def tile(
 
     `segloc localize --map DIR_OR_URL` opens the required tiles.
     """
+    from ...config import map_config
     from ...map.segment_map import SegmentMap
     from ...tiles import cut_tiles
 
     whole = SegmentMap.load(prior_map)
+    if margin < (reach_m := map_config(whole).local_cloud.radius_m):
+        note(
+            f"a margin of {margin:g} m is less than scans reach, {reach_m:g} m: what lies farther "
+            "from the squares of the trajectory is left out, and fewer scans are found at borders"
+        )
     with progress("Cutting") as update:
         index = cut_tiles(whole, out, size_m=size, margin_m=margin, progress=update)
     megabytes = sum(each.bytes for each in index.tiles) / 1e6

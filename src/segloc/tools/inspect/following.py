@@ -69,8 +69,8 @@ def read_moments(folder: Path) -> list[Moment]:
             lines = file.read_text("utf-8").split("\n")[:-1]
         except FileNotFoundError:
             continue
-        except OSError as error:
-            raise SeglocError(f"{file}: cannot be read ({error.strerror or error})") from error
+        except (OSError, ValueError) as error:
+            raise SeglocError(f"{file}: cannot be read ({error})") from error
         return parse_records(_moment, lines, file)
     raise SeglocError(f"{folder}: no results of `segloc live --out`")
 

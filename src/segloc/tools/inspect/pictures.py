@@ -133,15 +133,18 @@ def chart(axes: Axes, xlabel: str = "", ylabel: str = "") -> None:
 
 def title(figure: Figure, text: str, y: float = 0.975) -> None:
     """Add a heading at the upper left."""
-    figure.text(0.02, y, text, fontsize=TITLE_PT, fontweight="bold", color=DARK, va="center")
+    made = figure.text(0.02, y, text, fontsize=TITLE_PT, fontweight="bold", color=DARK, va="center")
+    made.set_parse_math(False)  # names may hold $
 
 
 def legend(axes: Axes, **place: Any) -> None:
     """Add a legend, by default at the upper right."""
-    axes.legend(
+    made = axes.legend(
         **{"loc": "upper right", "borderpad": 0.8, **place},
         frameon=True, framealpha=0.9, edgecolor="none", fontsize=TEXT_PT, labelcolor=DARK,
     )  # fmt: skip
+    for text in made.get_texts():
+        text.set_parse_math(False)
 
 
 def dots(axes: Axes, points: Any, **style: Any) -> PathCollection:

@@ -84,7 +84,7 @@ def read_results(folder: Path) -> list[Shown]:
     file = folder / "localizations.jsonl"
     try:
         lines = file.read_text("utf-8").splitlines()
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise SeglocError(f"{folder}: no results of `segloc localize --out` ({error})") from error
     return [
         replace(query, stages=unpack(stored.read_bytes(), str(stored)))
