@@ -14,7 +14,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmentation, Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
-from .likelihood.config import MAX_FLUSH_M
+from .likelihood.model import as_by_chance
 from .likelihood.observation import MapCloud, QueryCloud
 from .localization import Localization
 from .map.info import tolerance_m
@@ -28,7 +28,7 @@ from .proposals.pose import PoseEstimator
 from .proposals.proposer import Estimator, Proposer, Query, proposals_of
 from .proposals.proposer import create as create_proposer
 from .system.stage_times import Clock, StageTimes
-from .types import Candidate, Descriptors, Float64, LocalCloud, Pose
+from .types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
 
 _DEVIATIONS = 2.0
 """Tolerances of a map by which a point on a wall may be farther off. Chosen for plans, and judged
@@ -302,7 +302,7 @@ class Localizer:
         places = tuple(replace(place, inliers=0) for place in posterior.places)
         return Search.of(
             self.prior_map,
-            Agreed.none(),
+            Agreed(0, Matches.none(), [], as_by_chance),
             candidates,
             replace(posterior, places=places),
             scorer.places,
@@ -334,10 +334,11 @@ class Localizer:
         near: Prior | None,
     ) -> Iterator[tuple[list[Candidate], bool]]:
         """Yield all candidates after each proposer, segments first, and whether it was the last."""
-        candidates, left = agreed.candidates, [*self.proposers]
-        while left and not times.beyond(deadline_ms):
+        candidates = agreed.candidates
+        for proposer in self.proposers:
+            if times.beyond(deadline_ms):
+                break
             yield candidates, False
-            proposer = left.pop(0)
             with times("pose"):
                 proposed = within(near, proposals_of(proposer, query, near))
                 counted = ((c, agreed.inliers(c.T_map_local)) for c in proposed)
@@ -383,8 +384,7 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
     A point is on a wall that is farther off by twice the tolerance of the map.
     """
     viewpoints, verification = prior_map.trajectory[:, :3, 3], config.verification
-    more_m = _DEVIATIONS * tolerance_m(prior_map.metadata)
-    offset = min(verification.flush_offset + more_m, MAX_FLUSH_M)
+    offset = verification.flush_offset + _DEVIATIONS * tolerance_m(prior_map.metadata)
     return MapCloud(
         prior_map.cloud,
         prior_map.origin,

@@ -54,11 +54,6 @@ class Agreed:
     candidates: list[Candidate]
     inliers: Callable[[Pose], int]
 
-    @classmethod
-    def none(cls) -> Agreed:
-        """Return what agrees where segments were not matched."""
-        return cls(0, Matches.none(), [], lambda _: 0)
-
 
 @dataclass(frozen=True)
 class Search:
@@ -106,13 +101,9 @@ class Search:
         near: Prior | None = None,
     ) -> Search:
         """Return the result of a posterior."""
-        reason = posterior.reason(min_confidence)
-        if not posterior.places:
-            reason = Reason.NO_CONSISTENT_MATCHES
-        message = posterior.message(min_confidence)
-        best = posterior.best
-        if reason is None and near and best and not near.holds(best.T_map_local):
-            x, y, z = best.T_map_local[:3, 3]
+        reason, message = posterior.reason(min_confidence), posterior.message(min_confidence)
+        if reason is None and near and not near.holds(T := posterior.places[0].T_map_local):
+            x, y, z = T[:3, 3]
             reason, message = Reason.NOT_NEAR_PRIOR, f"what fits is at {x:.1f}, {y:.1f}, {z:.1f}"
         where = prior_map, agreed.count, agreed.matches, candidates
         return cls(*where, posterior, reason, message, tuple(places), near)
@@ -184,7 +175,8 @@ def answer(
     if best is not None:
         common |= {name: getattr(best, name) for name in ("inliers", "overlap", "seen", "rmse")}
     if search.reason is not None or best is None:
-        return NotLocalized(**_why(search, query, counts, radius_m), **common)
+        reason, message = _why(search, query, counts, radius_m)
+        return NotLocalized(reason=reason, message=message, **common)
     return Localized(
         T_map_sensor=best.T_map_local @ T_local_sensor,
         covariance=geometry.rotated_covariance(best.covariance, T_local_sensor),
@@ -229,35 +221,32 @@ def _off_the_map(near: Prior, prior_map: SegmentMap, reach_m: float) -> str:
 
 def _why(
     search: Search, query: Query, counts: Mapping[str, int], radius_m: float
-) -> dict[str, Any]:
+) -> tuple[Reason, str]:
     """Return the reason of the first stage without results, or else the posterior's."""
-    why, near = _why_anywhere(search, query, counts), search.near
-    reason, message = why["reason"], why["message"]
+    (reason, message), near = _why_anywhere(search, query, counts), search.near
     if near is not None and reason not in _OF_THE_QUERY:
         reason = Reason.NOT_NEAR_PRIOR
     fault = _fault(search, query.cloud, reason, radius_m)
     if reason is Reason.NOT_NEAR_PRIOR:
-        message = f"{reason} ({near}: {fault or message})"
-    elif fault:
-        message = f"{reason} ({fault})"
-    return {"reason": reason, "message": message}
+        return reason, f"{reason} ({near}: {fault or message})"
+    return reason, f"{reason} ({fault})" if fault else message
 
 
-def _why_anywhere(search: Search, query: Query, counts: Mapping[str, int]) -> dict[str, Any]:
-    cloud = query.cloud
+def _why_anywhere(search: Search, query: Query, counts: Mapping[str, int]) -> tuple[Reason, str]:
     for what, reason in (
         ("points", Reason.NO_POINTS),
         ("segments", Reason.NO_SEGMENTS),
         ("matches", Reason.NO_MATCHES),
     ):
         if counts[what] == 0:
-            return {"reason": reason, "message": reason.value}
-    if _is_inverted(cloud):
-        message = f"{Reason.UNKNOWN_ATTITUDE} ({AGAINST_GRAVITY}: {GRAVITY_REMEDY})"
-        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": message}
+            return reason, reason.value
+    if _is_inverted(query.cloud):
+        reason = Reason.UNKNOWN_ATTITUDE
+        return reason, f"{reason} ({AGAINST_GRAVITY}: {GRAVITY_REMEDY})"
     if slides(query.scene.structure):
-        message = f"{Reason.TOO_LITTLE_IN_VIEW} (all walls face one way: nothing across them)"
-        return {"reason": Reason.TOO_LITTLE_IN_VIEW, "message": message}
-    if search.reason is not Reason.AMBIGUOUS and cloud.attitude == "assumed":
-        return {"reason": Reason.UNKNOWN_ATTITUDE, "message": NOT_FLAT}
-    return {"reason": search.reason, "message": search.message}
+        reason = Reason.TOO_LITTLE_IN_VIEW
+        return reason, f"{reason} (all walls face one way: nothing across them)"
+    if search.reason is not Reason.AMBIGUOUS and query.cloud.attitude == "assumed":
+        return Reason.UNKNOWN_ATTITUDE, NOT_FLAT
+    assert search.reason is not None  # of a query that is not localized
+    return search.reason, search.message

@@ -151,16 +151,15 @@ def test_probabilities_are_the_softmax_of_places_and_none() -> None:
         (places(9.0, 8.5), Reason.AMBIGUOUS),
         (places(1.0, -3.0), Reason.TOO_UNCERTAIN),
         (places(-6.0, -7.0), Reason.NOT_IN_MAP),
-        (places(), Reason.NOT_IN_MAP),
+        (places(), Reason.NO_CONSISTENT_MATCHES),
     ],
 )
 def test_one_threshold_says_what_is_believed(found: Posterior, reason: Reason | None) -> None:
     assert found.reason(MIN) is reason
-    assert found.reason(0.0) is None
-    if found.places:
-        message = found.message(MIN)
-        assert message.startswith("" if reason is None else reason.value)
-        assert bool(message) == (reason is not None) and "\n" not in message
+    assert found.reason(0.0) is (None if found.places else reason)
+    message = found.message(MIN)
+    assert message.startswith("" if reason is None else reason.value)
+    assert bool(message) == (reason is not None) and "\n" not in message
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 from .config import VerificationConfig as VerificationConfig
 from .model import CHANCE_RIVAL as CHANCE_RIVAL
+from .model import CHANCE_WALLS as CHANCE_WALLS
 from .model import FEATURES as FEATURES
 from .model import Known as Known
 from .model import Model as Model
 from .model import Promise as Promise
 from .model import aligned_measures as aligned_measures
+from .model import differing as differing
 from .model import features_of as features_of
 from .model import shipped_model as shipped_model
 from .model import walls_over as walls_over

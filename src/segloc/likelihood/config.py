@@ -7,9 +7,6 @@ from pydantic import Field
 from ..system.section import Section
 from .nearby import NearbyConfig
 
-MAX_FLUSH_M = 10.0
-"""Largest distance of a point on a wall, however thick the walls of a map are."""
-
 
 class VerificationConfig(Section):
     """Verification of poses.
@@ -69,9 +66,6 @@ class VerificationConfig(Section):
     )
     visibility_sample: int = Field(3000, ge=1, le=10**6, description="most map points compared")
     flush_offset: float = Field(
-        0.1,
-        gt=0,
-        le=MAX_FLUSH_M,
-        description="largest distance of a point on a wall's surface, metres",
+        0.1, gt=0, description="largest distance of a point on a wall's surface, metres"
     )
     nearby: NearbyConfig = NearbyConfig()

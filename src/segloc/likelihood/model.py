@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
-from ..types import Pose
+from ..types import Float32, Pose
 from .observation import Aligned, Count, Evidence, Walls
 
 FEATURES = (
@@ -35,8 +35,8 @@ _NEARLY_ALL = 0.05
 _CHANCE_OVERLAP, _KNOWN_PRIOR = 0.25, 0.2
 """Share of known points that lie on the map at some pose of any map, and by how many, as a share of
 all, those of a pose are smoothed: a pose that the map knows nothing about fits as chance does."""
-_CHANCE_WALLS = 0.4
-"""Share of each wall patch that some pose of any map explains."""
+CHANCE_WALLS = Walls(np.full(1, 0.4, np.float32), np.ones(1, np.float32))
+"""Share of each wall patch that some pose of any map explains, and how sure that is."""
 _WALLS_ALIKE = 0.15
 """Shares of a patch that are no farther apart say nothing: noise decides there."""
 _WALLS_PRIOR = 5.0
@@ -97,7 +97,7 @@ class Known(Promise):
 
     def evidence(self, features: Sequence[float], unknown: float) -> float:
         """Return the log-ratio of a view from a pose against one from elsewhere."""
-        right = 1.0 / (1.0 + math.exp(-min(max(self.log_odds(features), -50.0), 50.0)))
+        right = 1.0 / (1.0 + math.exp(-self.log_odds(features)))
         p = self.misleading + (1.0 - 2.0 * self.misleading) * right
         return self.information(unknown) * math.log(p / (1.0 - p))
 
@@ -193,19 +193,18 @@ def best_case_measures(overlap: float) -> tuple[float, ...]:
     return share_odds(min(overlap + _BEST_GAIN, 1.0)), _BEST_SEEN
 
 
-def walls_over(here: Walls, elsewhere: Walls | None = None) -> float:
-    """Return the log-ratio of the walls that only one of two poses explains.
-
-    By default elsewhere is chance.
-    """
-    explained, weight = here
-    if elsewhere is None:
-        more = explained - np.float32(_CHANCE_WALLS)
-    else:
-        more, weight = explained - elsewhere.explained, np.minimum(weight, elsewhere.weight)
-    differ = np.where(np.abs(more) > _WALLS_ALIKE, weight * more, 0.0)
+def walls_over(here: Walls, elsewhere: Walls = CHANCE_WALLS) -> float:
+    """Return the log-ratio of the walls that only one of two poses explains."""
+    differ = differing(here, elsewhere)
     total, either = float(differ.sum()), float(np.abs(differ).sum())
     return math.log((either + total + 2 * _WALLS_PRIOR) / (either - total + 2 * _WALLS_PRIOR))
+
+
+def differing(here: Walls, elsewhere: Walls) -> Float32:
+    """Return how much better each wall patch is explained here, weighed; 0 where hardly at all."""
+    more, weight = here.explained - elsewhere.explained, np.minimum(here.weight, elsewhere.weight)
+    differ: Float32 = np.where(np.abs(more) > _WALLS_ALIKE, weight * more, 0.0)
+    return differ
 
 
 def known_odds(known: Evidence) -> float:

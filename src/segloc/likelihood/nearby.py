@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from .. import _native, geometry
 from ..geometry import Separation
@@ -20,8 +20,6 @@ _RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
 """Step of the search for storeys, radius of the map points that bound it, and their number."""
 _STOREY_FITS = 0.8
 """Least relative fit of a rival on another storey."""
-_MOST_STEPS = 100
-"""Shifts to either side."""
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
 """Turns at which built places are similar."""
 
@@ -32,17 +30,9 @@ class NearbyConfig(Section):
     half_width_m: float = Field(
         15.0, ge=0, le=40, description="largest shift along x and y, metres"
     )
-    cell_m: float = Field(0.5, ge=0.25, le=5, description="step of the shifts, metres")
-    range_m: float = Field(30.0, ge=1, le=90, description="range of the compared points, metres")
+    cell_m: float = Field(0.5, ge=0.4, le=5, description="step of the shifts, metres")
+    range_m: float = Field(30.0, ge=5, le=90, description="range of the compared points, metres")
     most: int = Field(4, ge=0, le=100, description="most rivals kept")
-
-    @model_validator(mode="after")
-    def _check_steps(self) -> NearbyConfig:
-        if self.half_width_m > _MOST_STEPS * self.cell_m:
-            raise ValueError(f"half_width_m must be at most {_MOST_STEPS} times cell_m")
-        if self.range_m < self.cell_m:
-            raise ValueError("range_m must be at least cell_m")
-        return self
 
 
 class NearbySearch:

@@ -111,9 +111,9 @@ class Walls(NamedTuple):
     weight: Float32
 
 
-@dataclass
+@dataclass(eq=False)
 class Aligned:
-    """A query at a pose after alignment with some of its points.
+    """A query at a pose after alignment with some of its points; equal to itself only.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Aligned:
     seen: Count
 
 
-@dataclass
+@dataclass(eq=False)
 class Observation(Aligned):
     """A query at a pose after alignment with all of its points, compared with all that is known.
 
@@ -258,11 +258,6 @@ class MapCloud:
         True if the map has several storeys.
     path : (M, 3) float64
         Positions of the mapping sensor, in map coordinates.
-
-    Attributes
-    ----------
-    storeyed : bool
-        True if the map has several storeys.
     """
 
     def __init__(
@@ -276,8 +271,8 @@ class MapCloud:
         path: Float64,
     ) -> None:
         self._config, self._origin, self._separation = config, origin, separation
-        self.storeyed, self._path = storeyed, path - origin
-        self._aligner = Aligner.of(config, threads)
+        self._storeyed, self._path = storeyed, path - origin
+        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         radius = max(config.coarse_radius, config.overlap_radius, RADIUS_M)
         index = _native.PointIndex(cloud, radius)
         self._target = Target(
@@ -390,9 +385,8 @@ class MapCloud:
         off = self._close.off_plane(surface, T, *_WALL, _MAX_SURFACE_POINTS)
         alone = np.flatnonzero(np.isinf(off))
         known = np.isfinite(off)
-        if len(alone):
-            codes = self._known.codes(points[alone], T, self._config.overlap_radius)
-            known[alone[codes == THROUGH]] = True
+        codes = self._known.codes(points[alone], T, self._config.overlap_radius)
+        known[alone[codes == THROUGH]] = True
         near, far = _EXPLAINED_M
         explained = np.clip((far - off[known]) / (far - near), 0.0, 1.0)
         count = int(patch.max(initial=-1)) + 1
@@ -409,7 +403,7 @@ class MapCloud:
         """
         x, y, z = T[:3, 3].tolist()
         low, high = -np.inf, np.inf
-        if self.storeyed:
+        if self._storeyed:
             low, high = (z + height for height in query.storey())
         config = self._config
         points = self._target.index.sample(
@@ -453,8 +447,6 @@ class MapCloud:
 
 def patches(points: Float32, side_m: float) -> Int64:
     """Number the cubes that hold points, (N, 3): the cube of each, (N,)."""
-    if not len(points):
-        return np.empty(0, np.int64)
     x, y, z = np.floor(points / side_m).astype(np.int64).T
     # One key a cube, in the order of x, y and z: rows take NumPy ten times as long.
     _, patch = np.unique((x << 42) + (y << 21) + z, return_inverse=True)

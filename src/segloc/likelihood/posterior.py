@@ -112,6 +112,8 @@ class Posterior:
 
     def reason(self, min_confidence: float) -> Reason | None:
         """Return why the most probable place is rejected; None if it is accepted."""
+        if not self.places:
+            return Reason.NO_CONSISTENT_MATCHES
         if self.confidence >= min_confidence:
             return None
         if 1.0 - self.not_in_map >= min_confidence:
@@ -125,17 +127,14 @@ class Posterior:
         reason = self.reason(min_confidence)
         if reason is None:
             return ""
-        best = self.best
-        if best is None:
-            return str(Reason.NO_CONSISTENT_MATCHES)
+        if not self.places:
+            return str(reason)
         if reason is Reason.AMBIGUOUS:
             return ambiguous_with(self.places[1].T_map_local)
-        runner_up = f", runner-up {self.places[1]}" if len(self.places) > 1 else ""
+        best = ", runner-up ".join(str(place) for place in self.places[:2])
         if reason is Reason.NOT_IN_MAP:
-            return (
-                f"{reason} (probability {format_probability(self.not_in_map)}): {best}{runner_up}"
-            )
-        return f"{reason.below(self.confidence, min_confidence)}: {best}{runner_up}"
+            return f"{reason} (probability {format_probability(self.not_in_map)}): {best}"
+        return f"{reason.below(self.confidence, min_confidence)}: {best}"
 
 
 def log_odds(probability: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -49,19 +48,11 @@ class ErrorModel:
 
     def widened(self, covariance: Float64) -> Float64:
         """Return the widened (6, 6) covariance of rotation [rad], then translation [m], z up."""
-        wide: Float64 = covariance * np.outer(self._scales, self._scales) + self._floor
-        return wide
-
-    @property
-    def _scales(self) -> Float64:
-        return np.repeat([self.rotation_scale, self.translation_scale], 3)
-
-    @property
-    def _floor(self) -> Float64:
+        scales = np.repeat([self.rotation_scale, self.translation_scale], 3)
         turns = np.radians([self.tilt_deg, self.tilt_deg, self.yaw_deg])
-        shifts = [self.horizontal_m, self.horizontal_m, self.vertical_m]
-        floor: Float64 = np.diag(np.square([*turns, *shifts]))
-        return floor
+        least = [*turns, self.horizontal_m, self.horizontal_m, self.vertical_m]
+        wide: Float64 = covariance * np.outer(scales, scales) + np.diag(np.square(least))
+        return wide
 
 
 ERRORS = ErrorModel(
@@ -120,23 +111,6 @@ class Alignment:
         return np.asarray((covariance + covariance.T) / 2, np.float64)
 
 
-class IcpConfig(Protocol):
-    """Settings of an aligner.
-
-    Attributes
-    ----------
-    icp_voxel : float
-        Voxel size of clouds [m].
-    icp_max_correspondence : float
-        Maximum correspondence distance [m].
-    """
-
-    @property
-    def icp_voxel(self) -> float: ...
-    @property
-    def icp_max_correspondence(self) -> float: ...
-
-
 @dataclass(frozen=True)
 class Target:
     """A target cloud of alignments.
@@ -183,11 +157,6 @@ class Aligner:
     def __init__(self, voxel: float, max_correspondence: float, threads: int = 0) -> None:
         self._voxel, self._threads = voxel, threads
         self._max_correspondence = max_correspondence
-
-    @classmethod
-    def of(cls, config: IcpConfig, threads: int) -> Aligner:
-        """Return the aligner of a configuration."""
-        return cls(config.icp_voxel, config.icp_max_correspondence, threads)
 
     def surface(self, points: Float32, *, target: bool = False) -> _native.Surface:
         """Preprocess a cloud (N, 3) for alignment; reusable. One that is only a target is tiled."""

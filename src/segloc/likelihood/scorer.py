@@ -90,8 +90,8 @@ class Likelihood:
 
     def segments_suffice(self, inliers: int, elsewhere: int) -> bool:
         """Return whether a place with these inliers may be accepted before other proposers."""
-        unproposed = self.model.unseen - self.model.margin(inliers, elsewhere)
-        return -unproposed >= log_odds(self.config.min_confidence)
+        proposed = self.model.margin(inliers, elsewhere) - self.model.unseen
+        return proposed >= log_odds(self.config.min_confidence)
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """Return the fit at a pose with its log-ratio."""
@@ -183,14 +183,8 @@ class Scorer:
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._first = np.empty((0, 4, 4))
         self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
-        self._compared: dict[tuple[int, int], float] = {}
-        self._measured: list[Observation] = []  # kept alive: walls are compared by identity
+        self._compared: dict[tuple[Observation, Observation], float] = {}
         self.places: list[Trial] = []
-
-    @property
-    def fits(self) -> list[Observation]:
-        """Fits at the distinct places that were measured to the end."""
-        return [place.fit for place in self.places if place.fit is not None]
 
     def add(self, candidates: Sequence[Candidate], known: Sequence[Pose] = ()) -> None:
         """Replace the candidates, and consider their places.
@@ -206,7 +200,7 @@ class Scorer:
         """
         candidates = [c for c in map(self._brought, candidates) if self._allowed(c.T_map_local)]
         if candidates:
-            self._candidates = np.stack([c.T_map_local for c in candidates])
+            self._candidates = _poses(candidates)
             self._inliers_there = np.array([c.inliers for c in candidates])
             by = np.array([c.proposer for c in candidates])
             first = [np.flatnonzero(by == name)[:_FIRST] for name in np.unique(by)]
@@ -225,7 +219,7 @@ class Scorer:
         if not candidates:
             return False
         best = max(candidates, key=lambda c: c.inliers)
-        poses = np.stack([c.T_map_local for c in candidates])
+        poses = _poses(candidates)
         apart = self._separation.apart_from(best.T_map_local[None], poses)[0]
         there = (c.inliers for c, far in zip(candidates, apart, strict=True) if far)
         return self._likelihood.segments_suffice(best.inliers, max(there, default=0))
@@ -258,10 +252,7 @@ class Scorer:
 
     def _promising(self) -> list[Trial]:
         """Return the places to align: known ones and the first of each proposer, then others."""
-        if not self.places:
-            return []
-        poses = np.stack([place.T_map_local for place in self.places])
-        apart = self._separation.apart_from(poses, self._first)
+        apart = self._separation.apart_from(_poses(self.places), self._first)
         first = [
             place.known is not None or not away.all()
             for place, away in zip(self.places, apart, strict=True)
@@ -309,8 +300,7 @@ class Scorer:
         if not self.places:
             return None
         first = max(self.places, key=lambda place: place.rough)
-        if first.aligned is None:
-            self._align(first)
+        self._align(first)
         if first.known is not None or first.promise >= -self._threshold:
             self._surround(first)
         return first
@@ -321,11 +311,9 @@ class Scorer:
         if not rivals:
             return
         for place in rivals:
-            if place.aligned is None:
-                self._align(place)
-            assert place.aligned is not None
-            self._rivals.append((place.aligned.T_map_local, aligned_measures(place.aligned)))
-        every, poses = list(self.places), np.stack([place.T_map_local for place in self.places])
+            aligned = self._align(place)
+            self._rivals.append((aligned.T_map_local, aligned_measures(aligned)))
+        every, poses = list(self.places), _poses(self.places)
         near = (~self._separation.apart_from(poses, poses)).sum(axis=1)
         for k in np.flatnonzero(near > 1):  # another one beside itself
             self._merge(every[k])
@@ -352,20 +340,19 @@ class Scorer:
         left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
         if thorough:
             fresh = [place for place in left if place.aligned is None]
-            left = fresh or ([] if len(self.fits) >= _MOST_MEASURED else left)
-        if not left:
-            return None
-        first, leader = max(left, key=lambda place: place.promise), self._leader()
-        if thorough:
-            return first
-        unlikely = -self._threshold
-        if leader is None and first.promise < unlikely:
-            aligned = [place for place in left if place.aligned is not None]
-            return max(aligned, key=lambda place: place.promise, default=None)
-        if leader is not None and leader.log_ratio >= self._threshold:
+            measured = sum(place.fit is not None for place in self.places)
+            left = fresh or ([] if measured >= _MOST_MEASURED else left)
+        elif (leader := self._leader()) is not None and leader.log_ratio >= self._threshold:
             any_other = sum(1.0 / (1.0 + math.exp(-place.promise)) for place in left)
-            return first if log_odds(any_other) >= unlikely else None
-        return first if first.promise >= unlikely else None
+            left = left if log_odds(any_other) >= -self._threshold else []
+        else:  # of places that hardly compete, an aligned one, if nothing is measured yet
+            left = [
+                place
+                for place in left
+                if place.promise >= -self._threshold
+                or (leader is None and place.aligned is not None)
+            ]
+        return max(left, key=lambda place: place.promise, default=None)
 
     def _advance(self, place: Trial) -> None:
         """Measure a place more exactly; one that meets another place is the same."""
@@ -373,19 +360,20 @@ class Scorer:
             self._align(place)
         else:
             fit = self._map.measured(place.T_map_local, self._query, place.known)
-            self._measured.append(fit)
             place.fit, place.T_map_local = fit, fit.T_map_local
             self._count(place)
         self._merge(place)
         if place.fit is not None:
             self._score()
 
-    def _align(self, place: Trial) -> None:
-        """Align a place with some of the points."""
-        place.aligned = self._map.aligned(place.T_map_local, self._query, place.known)
-        place.T_map_local = place.aligned.T_map_local
-        self._count(place)
-        place.expect(self._model)
+    def _align(self, place: Trial) -> Aligned:
+        """Align a place with some of the points, once."""
+        if place.aligned is None:
+            place.aligned = self._map.aligned(place.T_map_local, self._query, place.known)
+            place.T_map_local = place.aligned.T_map_local
+            self._count(place)
+            place.expect(self._model)
+        return place.aligned
 
     def _count(self, place: Trial) -> None:
         """Count the inliers of a place."""
@@ -425,7 +413,7 @@ class Scorer:
         Return which are apart, (N, N + M).
         """
         every = [*places, *others]
-        poses = np.stack([place.T_map_local for place in every])
+        poses = _poses(every)
         apart = self._separation.apart_from(poses[: len(places)], poses)
         overlaps = np.array([place.overlap for place in every])
         rivals = np.where(apart, overlaps, 0.0).max(axis=1)
@@ -447,10 +435,7 @@ class Scorer:
     def _same(self, place: Trial) -> list[Trial]:
         """Return the other places that are the same."""
         others = [other for other in self.places if other is not place]
-        if not others:
-            return []
-        poses = np.stack([other.T_map_local for other in others])
-        apart = self._separation.apart_from(place.T_map_local[None], poses)[0]
+        apart = self._separation.apart_from(place.T_map_local[None], _poses(others))[0]
         return [other for other, far in zip(others, apart, strict=True) if not far]
 
     def _leader(self) -> Trial | None:
@@ -461,9 +446,7 @@ class Scorer:
     def _score(self) -> None:
         """Score all places measured to the end, each beside the others."""
         done = [place for place in self.places if place.fit is not None]
-        if not done:
-            return
-        poses = np.stack([place.T_map_local for place in done])
+        poses = _poses(done)
         apart, elsewhere = self._separation.apart_from(poses, poses), self._most_elsewhere(poses)
         met = self._rivals or [
             (place.T_map_local, best_case_measures(place.overlap)) for place in self.places
@@ -473,23 +456,28 @@ class Scorer:
             assert place.fit is not None
             others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
             inliers = max([elsewhere[k], *(other.inliers for other in others)])
-            walls = min(self._walls_over(place.fit, other) for other in (None, *others))
+            against = [self._walls_over(place.fit, other) for other in others]
+            walls = min([walls_over(place.fit.walls), *against])
             rivals = [m for (_, m), away in zip(met, rival_apart[k], strict=True) if away]
             features = features_of(place.fit, rivals, inliers, walls)
             place.scored = self._likelihood.scored(place.fit, features)
 
-    def _walls_over(self, fit: Observation, other: Observation | None) -> float:
-        """Compare the walls of two fits, or with chance, once."""
-        pair = id(fit), id(other)
-        if pair not in self._compared:
-            self._compared[pair] = walls_over(fit.walls, None if other is None else other.walls)
-        return self._compared[pair]
+    def _walls_over(self, fit: Observation, other: Observation) -> float:
+        """Compare the walls of two fits, once."""
+        if (fit, other) not in self._compared:
+            self._compared[fit, other] = walls_over(fit.walls, other.walls)
+        return self._compared[fit, other]
 
     def _most_elsewhere(self, poses: Float64) -> list[int]:
         """Return the most inliers of any candidate at another place than each of (N, 4, 4)."""
         apart = self._separation.apart_from(poses, self._candidates)
         most: list[int] = np.where(apart, self._inliers_there, 0).max(axis=1, initial=0).tolist()
         return most
+
+
+def _poses(places: Sequence[Trial | Candidate]) -> Float64:
+    """Return the poses T_map_local of places, (N, 4, 4)."""
+    return np.array([place.T_map_local for place in places]).reshape(-1, 4, 4)
 
 
 def _merit(place: Trial) -> tuple[bool, bool, float]:

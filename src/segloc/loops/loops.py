@@ -173,7 +173,7 @@ class SubmapRegistration:
 
     def __init__(self, submaps: Submaps, config: AlignConfig, threads: int = 0) -> None:
         self._submaps, self._config = submaps, config
-        self._aligner = Aligner.of(config, threads)
+        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
         self._prepared = lru_cache(maxsize=_PREPARED)(self._prepare)
 
     def loop(self, target: int, source: int, guess: Pose, kind: str) -> Loop | None:

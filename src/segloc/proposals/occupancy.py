@@ -38,16 +38,13 @@ SEPARATION_M, SEPARATION_DEG = 2.0, 9.0
 """Separation of candidates: nearer ones are refined to the same pose."""
 
 _GROUND_CELL_M, _GROUND_NEIGHBOURS = 4.0, 4  # cells of the map's ground
-_FLOOR_RADIUS_M, _FLOOR_BINS, _FLOOR_COLUMN_M = 5.0, 40, 0.5  # of the floor's histogram; bins 0.1 m
+_FLOOR_RADIUS_M, _FLOOR_COLUMN_M = 5.0, 0.5  # of the floor's histogram
 
 _STOREY_CELL_M, _MIN_STOREY_HEIGHT_M = 4.0, 2.0  # a cell passed on two storeys
 _MIN_STOREYED_SHARE = 0.2  # of such cells in a building
 _LEVEL_M, _MIN_LEVEL_SHARE = 1.0, 0.05  # height range of a storey, share of the trajectory
-_DROP_RADIUS_M, _DROP_STEP_M, _DROP_BINS = (
-    1.2,
-    0.1,
-    40,
-)  # of the histogram of heights above the floor
+_DROP_RADIUS_M = 1.2  # of the floor of a storey
+_DROP_STEP_M, _DROP_BINS = 0.1, 40  # of histograms of heights above the floor
 _STOREY_MARGIN_M = 0.1  # below a floor
 
 
@@ -64,7 +61,7 @@ class OccupancyConfig(Section):
     )
     range_m: float = Field(40.0, ge=5, le=100, description="range of the query's cells")
     yaws: int = Field(120, ge=8, le=720, description="number of headings")
-    columns: int = Field(400, ge=64, le=4096, description="most occupied cells of a query")
+    columns: int = Field(400, ge=MIN_COLUMNS, le=4096, description="most occupied cells of a query")
     width: int = Field(1000, ge=16, le=10**6, description="windows divided at each level")
     work: int = Field(
         1_200_000,
@@ -105,7 +102,7 @@ class OccupancyProposer:
         config: OccupancyConfig | None = None,
         segmentation: SegmentationConfig | None = None,
         *,
-        own: Callable[[Float64], Bools] | None = None,
+        own: Callable[[Float64], Bools] = lambda positions: np.ones(len(positions), dtype=bool),
         parts: int = 1,
     ) -> None:
         self.config = config or OccupancyConfig()
@@ -156,8 +153,6 @@ class OccupancyProposer:
 
     def _owns(self, positions: Float64) -> Bools:
         """Return which of (N, 2) positions, relative to the origin, are searched."""
-        if self._own is None:
-            return np.ones(len(positions), dtype=bool)
         return self._own(positions + self._cloud.origin[:2])
 
 
@@ -303,8 +298,13 @@ def _drop(cloud: Float32, path: Float64) -> float:
     """Return the height of a trajectory above its floor: the first flat surface below it [m]."""
     gap, station = nearest_of(path[:, :2], cloud[:, :2])
     drop = (path[station, 2] - cloud[:, 2])[gap < _DROP_RADIUS_M]
-    counts, edges = np.histogram(drop, bins=_DROP_BINS, range=(0.0, _DROP_STEP_M * _DROP_BINS))
+    counts, edges = _drops(drop)
     return float(edges[np.argmax(counts >= 0.5 * counts.max()) + 1])
+
+
+def _drops(drop: NDArray[Any]) -> tuple[Int64, Float64]:
+    """Return the histogram of heights above the floor: counts, and edges [m]."""
+    return np.histogram(drop, bins=_DROP_BINS, range=(0.0, _DROP_STEP_M * _DROP_BINS))
 
 
 def is_storeyed(path: Float64) -> bool:
@@ -385,8 +385,8 @@ def _sensor_height(cloud: Float32, path: Float64) -> float:
     columns = cells_of(cloud[rising, :2], _FLOOR_COLUMN_M)
     lowest = rising[np.unique(keys_of(columns), return_index=True)[1]]
     drop = path[station[lowest], 2] - cloud[lowest, 2]
-    counts, edges = np.histogram(drop, bins=_FLOOR_BINS, range=(0.0, 0.1 * _FLOOR_BINS))
-    return float(edges[counts.argmax()] + 0.05)
+    counts, edges = _drops(drop)
+    return float(edges[counts.argmax()] + _DROP_STEP_M / 2)
 
 
 def nearest_of(

@@ -173,63 +173,27 @@ class PoseEstimator:
     def _consistent(
         self, query: Float64, map_centroids: Float64, matches: Matches
     ) -> tuple[Float64, Int64]:
-        config = self.config
-        sets = ConsistentMatches(config.consistency, config.separation)
-        objects = _objects(query, config.distinct_radius)
-        return sets.poses(query, map_centroids, matches, objects, config.max_candidates)
-
-
-class ConsistentMatches:
-    """Finds sets of matches whose edges have equal lengths in the query and in the map.
-
-    Each match that is in no set yet starts one. The set repeatedly gains the match that is
-    consistent with most of the remaining ones. Only matches with nearby map segments are compared.
-    A set holds each query object and each map segment once.
-    """
-
-    def __init__(self, config: ConsistencyConfig, separation: Separation) -> None:
-        self.config = config
-        self._separation = separation
-
-    def poses(
-        self,
-        query: Float64,
-        map_centroids: Float64,
-        matches: Matches,
-        objects: Int64,
-        max_poses: int,
-    ) -> tuple[Float64, Int64]:
         """Return the least-squares SE(3) of the largest sets at different places, and their sizes.
 
-        Parameters
-        ----------
-        query : (P, 3) float64
-        map_centroids : (M, 3) float64
-        matches : Matches
-        objects : (P,) int64
-            Object of each query segment.
-        max_poses : int
-            Most poses returned.
-
-        Returns
-        -------
-        poses : (K, 4, 4) float64
-            T_map_local, largest set first.
-        sizes : (K,) int64
+        The edges of a set have equal lengths in the query and in the map. Each match that is in no
+        set yet starts one. The set repeatedly gains the match that is consistent with most of the
+        remaining ones. Only matches with nearby map segments are compared. A set holds each query
+        object and each map segment once.
         """
-        config = self.config
+        config, sets = self.config, self.config.consistency
         poses, _, offsets = _native.consistent_sets(
             query,
             map_centroids,
             matches.query,
             matches.map,
-            objects,
-            resolution=config.resolution,
-            min_size=config.min_cluster,
-            max_sets=config.max_sets,
+            _objects(query, config.distinct_radius),
+            resolution=sets.resolution,
+            min_size=sets.min_cluster,
+            max_sets=sets.max_sets,
         )
         kept: list[int] = []
         for k, T in enumerate(poses):
-            if all(self._separation.apart(poses[other], T) for other in kept):
+            if all(config.separation.apart(poses[other], T) for other in kept):
                 kept.append(k)
-        return poses[kept[:max_poses]], np.diff(offsets)[kept[:max_poses]]
+        kept = kept[: config.max_candidates]
+        return poses[kept], np.diff(offsets)[kept]

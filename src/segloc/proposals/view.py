@@ -106,8 +106,6 @@ def free_cells(
     """
     near = ground[np.hypot(ground[:, 0], ground[:, 1]) < min(FREE_RADIUS_M, within_m), :2]
     cells = distinct(cells_of(near, cell_m))
-    if not len(cells):
-        return cells, np.empty(0, np.uint8)
     reach = int(np.ceil(within_m / cell_m)) + 1
     empty = np.ones((2 * reach + 1, 2 * reach + 1), bool)
     empty[tuple((occupied + reach).T)] = False

@@ -99,8 +99,9 @@ class TiledQuery(QueryCloud):
     """A query's cloud, and the clouds of the tiles with which it was compared."""
 
     def __init__(self, scene: Segmentation, config: Config) -> None:
-        aligner = Aligner.of(config.verification, config.threads)
-        super().__init__(scene, config.verification, aligner)
+        icp = config.verification
+        aligner = Aligner(icp.icp_voxel, icp.icp_max_correspondence, config.threads)
+        super().__init__(scene, icp, aligner)
         self.clouds: dict[Tile, MapCloud] = {}  # kept for the query, whatever the memory
 
 

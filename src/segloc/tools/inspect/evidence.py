@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...likelihood import (
+    CHANCE_WALLS,
     FEATURES,
     Count,
     Evidence,
@@ -17,6 +18,7 @@ from ...likelihood import (
     Observation,
     ScoredPose,
     Walls,
+    differing,
     features_of,
     walls_over,
 )
@@ -215,23 +217,16 @@ def _walls(here: Walls, others: Sequence[Walls]) -> str:
     known = int((here.weight > 0.0).sum())
     if not known:
         return "not measured: the map knows nothing about the walls of the query"
-    compared = min((None, *others), key=lambda other: walls_over(here, other))
+    compared = min((CHANCE_WALLS, *others), key=lambda other: walls_over(here, other))
     better, worse = _count_differing(here, compared)
-    than = "by chance" if compared is None else "elsewhere"
+    than = "by chance" if compared is CHANCE_WALLS else "elsewhere"
     return f"of {quantity(known, 'pieces')} of wall {better} fit better than {than}, {worse} worse"
 
 
-def _count_differing(here: Walls, other: Walls | None) -> tuple[int, int]:
+def _count_differing(here: Walls, other: Walls) -> tuple[int, int]:
     """Count the patches that fit better at one pose than at another, and those that fit worse."""
-
-    def patch(walls: Walls, k: int) -> Walls:
-        return Walls(*(part[k : k + 1] for part in walls))
-
-    signs = [
-        walls_over(patch(here, k), None if other is None else patch(other, k))
-        for k in range(len(here.weight))
-    ]
-    return sum(sign > 0 for sign in signs), sum(sign < 0 for sign in signs)
+    differ = differing(here, other)
+    return int((differ > 0.0).sum()), int((differ < 0.0).sum())
 
 
 def _beside(fit: Observation, other: Observation) -> dict[str, str]:
