@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from segloc_lab.training.extract import ExtractConfig, extract_session
 from segloc_lab.training.shards import INDEX, Session, finish, load_dataset, write_shard
 from typer.testing import CliRunner
 
+from segloc import geometry
 from segloc.errors import ConfigError, DatasetError, MissingDependency
 from segloc.frontend.segmentation import Segmenter
 from segloc.tools.cli import app
+from segloc.tools.io import Trajectory, read_trajectory, write_tum
 from segloc.tools.io.scans import write_scan
-from segloc.tools.io.trajectory import Trajectory, write_tum
 
 runner = CliRunner()
 
@@ -57,7 +59,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_from_recordings_to_scores(recording: Path, tmp_path: Path) -> None:
+def test_from_recordings_to_scores(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     torch = pytest.importorskip("torch")
     torch.set_num_threads(1)
     data = tmp_path / "data"
@@ -78,8 +82,47 @@ def test_from_recordings_to_scores(recording: Path, tmp_path: Path) -> None:
     config = tmp_path / "small.yaml"
     config.write_text("classes: 8\nwarmup: 2\nvalidate_every: 5\n")
     run("train", "dsm", data, "--out", weights, "--steps", 5, "--config", config)
+    (tmp_path / "geo").mkdir()
+    monkeypatch.chdir(tmp_path)  # where a folder has a descriptor's name
     for name in (weights, "geo"):
         assert "recall@25" in run("train", "score", name, data)
+
+
+@pytest.mark.slow
+def test_what_changed_is_extracted_again(recording: Path, tmp_path: Path) -> None:
+    data, days = tmp_path / "data", {"monday": "0:7", "tuesday": "4:11"}
+    for day in days:
+        shutil.copytree(recording, tmp_path / day)
+
+    def extracted(poses: str = "poses.tum", *more: object, back: bool = False) -> str:
+        arguments: list[object] = ["train", "extract", *more, "--out", data]
+        for day in sorted(days, reverse=back):
+            arguments += [tmp_path / day, "--poses", tmp_path / day / poses, "--select", days[day]]
+        return run(*arguments, "--length", 10, "--every", 4)
+
+    extracted()
+    before = load_dataset(data)
+    assert extracted().count("exists") == 2
+    extracted(back=True)  # under other names
+    again = load_dataset(data)
+    assert len(np.unique(again.sessions)) == 2
+    assert len(again) == pytest.approx(len(before), rel=0.05)
+    extracted()
+    found = read_trajectory(recording / "poses.tum")
+    moved = geometry.yaw_transform(0.0, (1.5, 0.0, 0.0)) @ found.poses
+    write_tum(tmp_path / "monday" / "moved.tum", Trajectory(found.stamps, moved))
+    shutil.copy(recording / "poses.tum", tmp_path / "tuesday" / "moved.tum")
+    assert extracted("moved.tum").count("exists") == 0  # tuesday is aligned with monday
+    shift = np.median(load_dataset(data).centroids[:, 0]) - np.median(before.centroids[:, 0])
+    assert shift == pytest.approx(1.5, abs=0.3)
+    for path in (tmp_path / "tuesday").glob("*.npy"):
+        np.save(path, np.load(path) * np.float32(0.5))
+    assert extracted("moved.tum").count("exists") == 1
+    config = tmp_path / "robot.yaml"
+    config.write_text("local_cloud: {body: [[-9, -9, -9], [9, 9, 9]]}\n")
+    many = len(load_dataset(data))
+    assert extracted("moved.tum", "--config", config).count("exists") == 0
+    assert len(load_dataset(data)) < many
 
 
 def test_wrong_input(recording: Path, tmp_path: Path) -> None:
@@ -109,8 +152,10 @@ def test_wrong_training_settings(tmp_path: Path) -> None:
     config.write_text("stepz: 3\n")
     with pytest.raises(ConfigError, match="stepz"):
         run("train", "dsm", tmp_path, "--out", tmp_path / "w.safetensors", "--config", config)
-    with pytest.raises(ConfigError, match="loss"):
-        run("train", "dsm", tmp_path, "--out", tmp_path / "w.safetensors", "--loss", "none")
+    config.write_text("classes: 3\n")
+    with pytest.raises(ConfigError, match=r"^training: loss"):
+        run("train", "dsm", tmp_path, "--out", tmp_path / "w.safetensors", "--loss", "none",
+            "--config", config)  # fmt: skip
 
 
 def test_training_without_torch_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,24 @@ def test_a_run_that_was_cut_off_goes_on_exactly(shapes: SegmentDataset, tmp_path
     assert a.sha256 == b.sha256
     with pytest.raises(DatasetError, match="another configuration"):
         train(shapes, parts, config.model_copy(update={"seed": 1}), progress=quiet)
+    more = dataclasses.replace(shapes, points=shapes.points * 1.01)
+    with pytest.raises(DatasetError, match="on another dataset"):
+        train(more, parts, config, progress=quiet)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_head")
+def test_a_run_that_ended_early_has_ended(shapes: SegmentDataset, tmp_path: Path) -> None:
+    out, told = tmp_path / "net.safetensors", list[str]()
+    config = QUICK.model_copy(update={"steps": 400, "patience": 1, "validate_every": 5})
+    train(shapes, out, config, progress=told.append)
+    assert not any("step 400" in line for line in told)
+    first = out.read_bytes()
+    for _ in range(2):
+        told.clear()
+        train(shapes, out, config, progress=told.append)
+        assert not any(line.startswith("step ") for line in told)
+        assert out.read_bytes() == first
 
 
 @pytest.mark.slow

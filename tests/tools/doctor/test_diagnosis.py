@@ -19,6 +19,7 @@ from segloc import (
     Config,
     DatasetError,
     Localizer,
+    MemoryRecording,
     NotLocalized,
     Reason,
     SegmentMap,
@@ -112,6 +113,11 @@ POSES: dict[str, tuple[Poses, Fault, str]] = {
         lambda T: MIRROR @ T @ MIRROR,
         Fault.MIRRORED,
         "y axis of the points is mirrored .*: change the sign of y",
+    ),
+    "stuck": (
+        lambda T: np.tile(T[:1], (len(T), 1, 1)),
+        Fault.POSES_SMEAR,
+        "stay in one place, but the scans move .*: odometry was stuck",
     ),
     "other order": (lambda T: T[::-1].copy(), Fault.POSES_SMEAR, "do not match at their poses"),
 }
@@ -523,6 +529,16 @@ def test_what_stands_beside_a_robot_at_rest_is_not_the_robot(plaza: Plaza) -> No
     T = geometry.yaw_transform(0.2, (3.0, -2.0, 1.8))
     still = [masted(plaza.scan(T, seed=k)) for k in range(8)]
     assert body_findings(still, LocalCloudConfig()) == []
+    assert pose_findings(MemoryRecording(still)) == []
+
+
+def test_a_box_around_everything_is_named(plaza: Plaza) -> None:
+    scans = [plaza.scan(geometry.yaw_transform(0.0, (k, 0.0, 1.8)), seed=k) for k in range(6)]
+    config = LocalCloudConfig(body=((-100.0,) * 3, (100.0,) * 3))
+    (finding,) = body_findings(scans, config)
+    assert finding.wrong and "holds all points" in finding.what
+    some = config.model_copy(update={"body": ((-100.0, -100.0, -100.0), (100.0, 100.0, 2.0))})
+    assert all(not each.wrong for each in body_findings([*scans, Scan(scans[0].points[:5])], some))
 
 
 @pytest.mark.data

@@ -121,18 +121,24 @@ def extract(
         raise ConfigError("pass recordings, or worlds to --simulate, and not both")
     lengths = tuple(length) if length else ExtractConfig().lengths_m
     rule = {"rule": "centroids" if centroids_only else "extents"}
-    values = {"lengths_m": lengths, "every_m": every, "seed": seed, "label": rule}
+    chosen = load_config(config, None, 1)
+    values = {
+        "lengths_m": lengths,
+        "every_m": every,
+        "seed": seed,
+        "label": rule,
+        "local_cloud": chosen.local_cloud,
+    }
     settings = validate(ExtractConfig, values, "extraction")
     if simulate is not None:
-        chosen = tuple(sensors.split(",")) if sensors else ()
-        worlds = draw_worlds(simulate, seed, length_m=drive, sensors=chosen, thin=thin)
-        segmentation = load_config(config, None, 1).segmentation
+        names = tuple(sensors.split(",")) if sensors else ()
+        worlds = draw_worlds(simulate, seed, length_m=drive, sensors=names, thin=thin)
         with executing(1, cluster) as executor:
             done = collect_worlds(
                 out.absolute(),
                 worlds,
                 settings,
-                segmentation,
+                chosen.segmentation,
                 workers=workers,
                 progress=say,
                 executor=executor,
@@ -149,18 +155,17 @@ def extract(
         items = [
             Posed(
                 Session(place, f"{k:02d}-{path.resolve().name}", sensor),
-                open_recording(path, of_path, scans, topic=topic),
+                open_recording(path, of_path, scans, topic=topic, mount=chosen.local_cloud.mount),
             )
             for k, (path, of_path, scans) in enumerate(zip(*given, strict=True))
         ]
-        segmentation = load_config(config, None, 1).segmentation
         alone = register or count == 1  # each is aligned with those before it
         with executing(1 if alone else workers, cluster) as executor:
             done = collect_recordings(
                 out.absolute(),
                 items,
                 settings,
-                segmentation,
+                chosen.segmentation,
                 register=register,
                 progress=say,
                 executor=executor,
@@ -224,7 +229,7 @@ def pairs(
             for recording, session in zip(recordings, sessions, strict=True)
             if session["component"] == component
         ]
-        write_dataset(out, members, f"site_{component}", chosen.segmentation, progress=say)
+        write_dataset(out, members, f"site_{component}", chosen, progress=say)
     count = write_pairs(out / "pairs.csv", out, chosen.seed)
     print(f"{out}: a dataset for `segloc train`, and pairs.csv with {count} matching pairs")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -125,9 +127,9 @@ class PairScenario:
         return {
             "pair": {key: str(value) for key, value in asdict(self.pair).items()},
             "scans": [len(part) for part in parts],
-            "bytes": [folder_size(folder) for folder in (self.pair.map, self.pair.query)],
-            "poses": [_sum(part.poses) for part in parts],
-            "truths": _sum(opened.query_sets["query"].truths),
+            "files": [state_of(path) for path in (self.pair.map, self.pair.query)],
+            "poses": [_digest(part.poses) for part in parts],
+            "truths": _digest(opened.query_sets["query"].truths),
         }
 
     def open(self) -> OpenedScenario:
@@ -149,11 +151,16 @@ class PairScenario:
         return OpenedScenario(prior_map, None, {"query": query_set})
 
 
-def folder_size(path: Path) -> int:
-    """Return the size of a file, or of the files in a folder [bytes]."""
-    files = path.iterdir() if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
+def state_of(path: Path) -> str:
+    """Return a digest of a file, or of the files below a folder: names, sizes, times of change."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    rows = [
+        (str(file.relative_to(path)), found.st_size, found.st_mtime_ns)
+        for file in files
+        if file.is_file() and (found := file.stat())
+    ]
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()[:16]
 
 
-def _sum(poses: Float64 | None) -> float | None:
-    return None if poses is None else float(np.abs(poses).sum())
+def _digest(poses: Float64 | None) -> str | None:
+    return None if poses is None else hashlib.sha256(poses.tobytes()).hexdigest()[:16]

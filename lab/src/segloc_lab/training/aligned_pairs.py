@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.frontend import SegmentationConfig
+from segloc.map.config import BuildConfig
 from segloc.system.files import replacing
 from segloc.types import Float64, Int64, Recording
 
@@ -25,7 +25,7 @@ def write_dataset(
     folder: Path,
     recordings: Sequence[Recording],
     place: str,
-    segmentation: SegmentationConfig,
+    config: BuildConfig,
     progress: Callable[[str], None] = lambda text: None,
 ) -> LabelCounts:
     """Cut aligned recordings of one place into labelled segments for ``segloc train``.
@@ -38,16 +38,18 @@ def write_dataset(
         With poses in one frame.
     place : str
         Name of the place.
+    config : BuildConfig
+        Sensor and segmentation.
     progress : callable, optional
         Called with one line per session.
     """
-    settings = ExtractConfig()
+    settings = ExtractConfig(local_cloud=config.local_cloud)
     items = [
         Posed(Session(place, f"{k:02d}-{recording.name}", "unknown"), recording)
         for k, recording in enumerate(recordings)
     ]
     sessions = collect_recordings(
-        folder, items, settings, segmentation, register=False, progress=progress
+        folder, items, settings, config.segmentation, register=False, progress=progress
     )
     return finish(folder, sessions, settings.label)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
+from segloc import geometry
 from segloc.errors import ConfigError
 from segloc.frontend import SegmentationConfig, Segmenter
 from segloc.system.processes import as_finished, single_threaded_pool
@@ -34,9 +35,10 @@ from ..simulation import (
 from ..simulation.drives import lane_scale, mapped_way
 from .extract import ExtractConfig, extract_session
 from .session_registration import Registration
-from .shards import Session, finished, options_of, read_array, write_shard
+from .shards import Session, finished, options_of, read_array, stored, write_shard
 
 _SWEEP_SPACING_M = 0.15
+_KNOWN_BY = 5  # scans of a recording
 _USUAL_SENSORS = ("hdl64e", "hdl64e", "hdl64e", "hdl32e", "vlp16", "os1-64", "os1-128", "lms151")
 _CARRIERS = {"town": ("car",), "terraces": ("car",)}
 _WALKERS = ("wheeled", "legged", "carried")
@@ -197,12 +199,12 @@ def _write_recording(
     item, before = task
     session, recording = item.session, item.recording
     own = _for_sweeps(config) if sensor_of(recording) == PUSH_BROOM else config
+    scans = _fingerprint(recording)
     options = options_of(
         own,
         segmentation=segmentation.model_dump(mode="json"),
-        register=register,
-        before=[one.file for one in before],
-        scans=_fingerprint(recording),
+        before=[stored(folder, one, "options") for one in before] if register else [],
+        scans=scans,
     )
     if finished(folder, session, options):
         return "exists"
@@ -211,7 +213,7 @@ def _write_recording(
         structure = [read_array(folder, one, "structure") for one in before]
         registration = Registration(np.concatenate(structure))
     extract = extract_session(recording, Segmenter(segmentation).segment, own, registration)
-    write_shard(folder, session, extract, options)
+    write_shard(folder, session, extract, options, scans)
     return f"{len(extract)} segments{_told(registration)}"
 
 
@@ -220,11 +222,13 @@ def _for_sweeps(config: ExtractConfig) -> ExtractConfig:
     return config.model_copy(update={"lengths_m": (config.swathe_m,)})
 
 
-def _fingerprint(recording: Recording) -> list[int | str]:
-    """Return a hash of scans and poses; a shard with other poses is rewritten."""
-    poses = b"" if recording.poses is None else recording.poses.tobytes()
-    ends = [int(recording.indices[0]), int(recording.indices[-1])]
-    return [len(recording), *ends, hashlib.sha256(poses).hexdigest()[:16]]
+def _fingerprint(recording: Recording) -> str:
+    """Return a hash of poses, numbers, and some of the scans, by which they are known again."""
+    digest = hashlib.sha256(b"" if recording.poses is None else recording.poses.tobytes())
+    digest.update(recording.indices.tobytes())
+    for i in geometry.spread(len(recording), _KNOWN_BY):
+        digest.update(recording.scan(i).points.tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _told(registration: Registration | None) -> str:

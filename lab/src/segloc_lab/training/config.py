@@ -185,6 +185,8 @@ def require_torch() -> None:
 
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
     """Read a configuration file, if given, and override it with options."""
-    values = {**({} if path is None else read_yaml(path)), **given}
-    published = PUBLISHED.get(str(values.get("network", "dsm")), {})
-    return validate(TrainConfig, {**published, **values}, str(path or "training"))
+    read = {} if path is None else read_yaml(path)
+    network = {**read, **given}.get("network", "dsm")
+    values = {**PUBLISHED.get(str(network), {}), **read}
+    validate(TrainConfig, values, str(path))  # a fault of an option is not the file's
+    return validate(TrainConfig, {**values, **given}, "training")

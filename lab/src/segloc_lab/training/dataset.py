@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,16 @@ class SegmentDataset:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def digest(self) -> bytes:
+        """Return a digest of all of it."""
+        digest = hashlib.sha256()
+        for each in fields(self):
+            value = getattr(self, each.name)
+            digest.update(
+                value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            )
+        return digest.digest()
 
     def segment(self, index: int) -> Float32:
         """Return the (n, 3) points of one segment, float32."""

@@ -270,9 +270,9 @@ class Report:
 def load_descriptor(name: str, threads: int = 0) -> Descriptor:
     """Load a descriptor by the path of its weights, or a registered one by its name."""
     path = Path(name)
+    if not path.is_file() and name in available():
+        return create(name, threads)
     if not path.exists():
-        if name in available():
-            return create(name, threads)
         raise WeightsError(f"{name}: neither a file nor a registered descriptor")
     with open_weights(path) as file:
         kind = file.metadata.get("format", "")

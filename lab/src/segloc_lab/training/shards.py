@@ -50,22 +50,34 @@ def options_of(config: ExtractConfig, **more: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def write_shard(folder: Path, session: Session, extract: Extract, options: str) -> None:
-    """Write a session's shard, with points in half precision about their centroids."""
+def write_shard(
+    folder: Path, session: Session, extract: Extract, options: str, scans: str = ""
+) -> None:
+    """Write a session's shard, with points in half precision about their centroids.
+
+    ``scans`` is a hash of what it was made of, by which it is known under another name.
+    """
     arrays = {f.name: getattr(extract, f.name) for f in fields(Extract)}
     arrays["points"] = arrays["points"].astype(np.float16)
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / session.file) as stream:
-        tensor_file.write_tensors(stream, arrays, {"options": options, **asdict(session)})
+        tensor_file.write_tensors(
+            stream, arrays, {"options": options, "scans": scans, **asdict(session)}
+        )
 
 
 def finished(folder: Path, session: Session, options: str) -> bool:
     """Return whether a session's shard with these options exists."""
+    return stored(folder, session, "options") == options
+
+
+def stored(folder: Path, session: Session, key: str) -> str:
+    """Return a text that a session's shard has of itself; "" without the shard, or the text."""
     try:
         with tensor_file.open_tensor_file(folder / session.file) as file:
-            return file.metadata.get("options") == options
+            return file.metadata.get(key, "")
     except (OSError, TensorFileError):
-        return False
+        return ""
 
 
 def read_array(folder: Path, session: Session, name: str) -> Any:
@@ -76,13 +88,22 @@ def read_array(folder: Path, session: Session, name: str) -> Any:
 def finish(folder: Path, sessions: Sequence[Session], config: LabelConfig) -> LabelCounts:
     """Label the segments of these and all other sessions in the folder, and write the index.
 
+    Another session of the same scans and place, under the name of another order, is left out.
+
     Returns
     -------
     LabelCounts
         Of the whole dataset. Pairs are counted within places.
     """
     before = _listed(folder) if (folder / INDEX).exists() else []
-    known = {session.file: session for session in (*before, *sessions)}
+    scans = {(session.place, stored(folder, session, "scans")) for session in sessions}
+    again = scans - {(session.place, "") for session in sessions}
+    others = [
+        session
+        for session in before
+        if session in sessions or (session.place, stored(folder, session, "scans")) not in again
+    ]
+    known = {session.file: session for session in (*others, *sessions)}
     everything = sorted(known.values(), key=lambda session: session.file)
     labels: dict[str, Int64] = {}
     counts: list[LabelCounts] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 import os
 import time
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -233,8 +235,22 @@ class _Run:
         self.best, self.best_step = Scores(0.0, -1.0, 0.0), 0
         self.best_state: dict[str, Tensor] = {}
 
+    @cached_property
+    def _dataset_digest(self) -> str:
+        """Digest of what is trained and validated on."""
+        return hashlib.sha256(
+            b"".join(part.digest() for part in (self.training, self.validation))
+        ).hexdigest()
+
+    @property
+    def _waited(self) -> float:
+        """Number of validations without improvement."""
+        return (self.step - self.best_step) / self.config.validate_every
+
     def loop(self, progress: Progress) -> None:
         config = self.config
+        if self._waited >= config.patience or self.seconds > 60 * config.max_minutes:
+            return  # ended before
         start = time.monotonic() - self.seconds
         losses: list[Tensor] = []
         for batch in self._upcoming():
@@ -249,8 +265,7 @@ class _Run:
                     f"{self.seconds / 60:.1f} min"
                 )
                 losses = []
-                waited = (self.step - self.best_step) / config.validate_every
-                if self.group.agreed(expired or waited >= config.patience):
+                if self.group.agreed(expired or self._waited >= config.patience):
                     return
 
     def _upcoming(self) -> Iterator[Batch]:
@@ -331,6 +346,7 @@ class _Run:
     def _save(self) -> None:
         state = {
             "config": self.config.model_dump_json(exclude=_MAY_CHANGE),
+            "dataset": self._dataset_digest,
             "model": self.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "step": self.step,
@@ -350,9 +366,13 @@ class _Run:
             return
         try:
             state = torch.load(self.checkpoint, weights_only=True, map_location=self.group.device)
-            if not _agrees(state["config"], self.config):
-                another = "belongs to a run with another configuration"
-                raise DatasetError(f"{self.checkpoint}: {another}")
+            for same, what in (
+                (_agrees(state["config"], self.config), "with another configuration"),
+                (state["dataset"] == self._dataset_digest, "on another dataset"),
+            ):
+                if not same:
+                    remedy = "remove it to restart, or choose another --out"
+                    raise DatasetError(f"{self.checkpoint}: of a run {what}: {remedy}")
             self.model.load_state_dict(state["model"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.step, self.seconds = state["step"], state["seconds"]

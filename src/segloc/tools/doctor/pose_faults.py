@@ -198,6 +198,8 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
         Mount of the sensor.
     """
     fits = measure_pairs(recording, config)
+    if not fits and recording.poses is not None:
+        return _stuck(recording, config or LocalCloudConfig())
     if len(fits) < _MIN_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
@@ -212,6 +214,23 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
         what = f"{reading.what} ({measure})"
         return [Finding(reading.fault, what, reading.remedy, scans=scans)]
     return [replace(finding, scans=scans) for finding in _smear(fits)]
+
+
+def _stuck(recording: Recording, config: LocalCloudConfig) -> list[Finding]:
+    """Return the finding on poses that stay in one place while the scans do not."""
+    poses, most_deg = recording.poses, most_turned_deg(recording, config)
+    assert poses is not None
+    if not len(poses) or geometry.distance_travelled(poses)[-1] > _APART_M:
+        return []
+    turned = [geometry.rotation_angle(geometry.inverse(poses[0]) @ T) for T in poses]
+    later = geometry.spread(len(poses), _SPREAD + 1)[1:]
+    fits = _fits(recording, [(0, k) for k in later if np.degrees(turned[k]) <= most_deg])
+    agreement = float(np.median([fit.agreement for fit in fits])) if fits else 1.0
+    if len(fits) < _MIN_PAIRS or agreement >= _UNRELATED:
+        return []
+    what = f"the poses stay in one place, but the scans move (agreement {agreement:.2f} of 1)"
+    remedy = "odometry was stuck: pass poses by your SLAM or by `segloc odometry`"
+    return [Finding(Fault.POSES_SMEAR, what, remedy, scans=fits[-1].scans)]
 
 
 def _smear(fits: list[Fit]) -> list[Finding]:
@@ -242,10 +261,16 @@ def measure_pairs(recording: Recording, config: LocalCloudConfig | None = None) 
     poses = recording.poses
     if poses is None or len(poses) < 2:
         return []
-    meant = [poses, *(reading.means(poses) for reading in READINGS)]
-    fits = []
     most_deg = most_turned_deg(recording, config or LocalCloudConfig())
-    for i, j in _pairs(poses, _unit(poses), most_deg):
+    return _fits(recording, _pairs(poses, _unit(poses), most_deg))
+
+
+def _fits(recording: Recording, pairs: list[tuple[int, int]]) -> list[Fit]:
+    """Measure the agreement of pairs of clouds, where comparable."""
+    poses = recording.poses
+    assert poses is not None
+    meant, fits = [poses, *(reading.means(poses) for reading in READINGS)], list[Fit]()
+    for i, j in pairs:
         try:
             target, source = (standing(recording.scan(k).points) for k in (i, j))
         except DatasetError:

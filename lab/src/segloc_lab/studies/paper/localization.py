@@ -17,7 +17,7 @@ from segloc.types import Float64
 
 from ... import kitti00
 from ...evaluation.comparison_study import compare
-from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, folder_size
+from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, state_of
 from ...evaluation.study import Study
 from ...simulation.suites import SIX, TestSet
 from ...swathes import Swathes
@@ -120,8 +120,8 @@ class KittiScenario:
         for folder in folders:
             if not folder.is_dir():
                 raise DatasetError(f"{folder}: no such folder; --kitti needs keyframes and scans")
-        sizes = [folder_size(folder) for folder in folders]
-        return {"scenario": self.name, "bytes": sizes, "scale": self.scale, "seed": self.seed}
+        files = state_of(self.data)
+        return {"scenario": self.name, "files": files, "scale": self.scale, "seed": self.seed}
 
     def open(self) -> OpenedScenario:
         town = next(test for test in SIX if test.name == "kitti")
