@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from segloc.map.config import BuildConfig
+from segloc import Config
 from segloc.system.files import replacing
 from segloc.types import Float64, Int64, Recording
 
@@ -25,7 +25,7 @@ def write_dataset(
     folder: Path,
     recordings: Sequence[Recording],
     place: str,
-    config: BuildConfig,
+    config: Config,
     progress: Callable[[str], None] = lambda text: None,
 ) -> LabelCounts:
     """Cut aligned recordings of one place into labelled segments for ``segloc train``.
@@ -38,7 +38,7 @@ def write_dataset(
         With poses in one frame.
     place : str
         Name of the place.
-    config : BuildConfig
+    config : Config
         Sensor and segmentation.
     progress : callable, optional
         Called with one line per session.
