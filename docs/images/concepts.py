@@ -24,6 +24,7 @@ from segloc_lab.simulation import Conditions, hdl64e, simulate_sessions, town
 from segloc import Config, Localizer, build_map, geometry
 from segloc.frontend.segmentation import Segmentation
 from segloc.likelihood import ScoredPose
+from segloc.likelihood.observation import BEHIND_M, OVERLAP_M, SEEN_M, VIEW_DEG, VIEW_M
 from segloc.pipeline import Query as Described
 from segloc.tools.inspect.pictures import BLUE, DARK, GREEN, GREY, RED
 from segloc.types import Candidate, Matches
@@ -169,11 +170,10 @@ def votes(query: Query) -> Figure:
 
 def overlap(query: Query) -> Figure:
     """The query cloud on the map, at the right pose and at a wrong one."""
-    radius = query.localizer.config.verification.overlap_radius
     figure, both = _pair()
     for axes, candidate, title in _candidates(query, both):
         site, structure = _at(query, candidate), query.scene.structure
-        near, _ = cKDTree(site).query(structure, distance_upper_bound=radius)
+        near, _ = cKDTree(site).query(structure, distance_upper_bound=OVERLAP_M)
         _dots(axes, site, GREY, 0.5)
         _dots(axes, structure[~np.isfinite(near)], RED, 0.6)
         _dots(axes, structure[np.isfinite(near)], GREEN, 0.6)
@@ -185,11 +185,10 @@ def overlap(query: Query) -> Figure:
 
 def free_space(query: Query) -> Figure:
     """Map points that the query confirms, and those that lie in space it has seen to be free."""
-    config = query.localizer.config.verification
     figure, both = _pair()
     for axes, candidate, title in _candidates(query, both):
         site = _at(query, candidate)
-        site = site[np.linalg.norm(site[:, :2], axis=1) < config.visibility_range]
+        site = site[np.linalg.norm(site[:, :2], axis=1) < VIEW_M]
         confirmed, violated = _judged(query, site)
         _dots(axes, site[~confirmed & ~violated], GREY, 0.5)
         _dots(axes, site[confirmed], GREEN, 0.7)
@@ -240,10 +239,9 @@ def _judged(query: Query, site: Floats) -> tuple[NDArray[np.bool_], NDArray[np.b
     The same idea as cpp/likelihood/visibility.h, in a few lines: a point is a violation if all
     that was measured in its direction, and in the eight directions about it, lies behind it.
     """
-    config = query.localizer.config.verification
-    near, _ = cKDTree(query.scene.structure).query(site, distance_upper_bound=config.seen_radius)
+    near, _ = cKDTree(query.scene.structure).query(site, distance_upper_bound=SEEN_M)
     confirmed = np.isfinite(near)
-    bins = math.radians(config.visibility_bin)
+    bins = math.radians(VIEW_DEG)
     shape = (round(2 * math.pi / bins) + 1, round(math.pi / bins) + 1)
 
     def pixels(points: Floats) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
@@ -261,7 +259,7 @@ def _judged(query: Query, site: Floats) -> tuple[NDArray[np.bool_], NDArray[np.b
     about = [np.roll(padded, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     nearest = np.min(about, axis=0)[1:-1, 1:-1]
     ranges, column, row = pixels(site)
-    free = measured[column, row] & (nearest[column, row] > ranges + config.visibility_margin)
+    free = measured[column, row] & (nearest[column, row] > ranges + BEHIND_M)
     above = _above_ground(query, site)
     return confirmed, free & above & ~confirmed
 

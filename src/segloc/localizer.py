@@ -383,14 +383,14 @@ def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:
 
     A point is on a wall that is farther off by twice the tolerance of the map.
     """
-    viewpoints, verification = prior_map.trajectory[:, :3, 3], config.verification
-    offset = verification.flush_offset + _DEVIATIONS * tolerance_m(prior_map.metadata)
+    viewpoints = prior_map.trajectory[:, :3, 3]
     return MapCloud(
         prior_map.cloud,
         prior_map.origin,
-        verification.model_copy(update={"flush_offset": offset}),
         config.pose.separation,
         config.threads,
         is_storeyed(viewpoints - prior_map.origin),
         prior_map.sensor_positions,
+        thicker_m=_DEVIATIONS * tolerance_m(prior_map.metadata),
+        refine=config.verification.refine,
     )

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from segloc import _native, geometry
 from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
-from segloc.likelihood import Count, Likelihood, Posterior, VerificationConfig
-from segloc.likelihood.nearby import NearbyConfig, NearbySearch
+from segloc.likelihood import Count, Likelihood, Posterior
+from segloc.likelihood.nearby import NearbySearch
 from segloc.likelihood.next_view import next_view
 from segloc.likelihood.observation import MapCloud, close_surface
 from segloc.localization import Reason
@@ -139,15 +139,15 @@ def scene(cloud: Float32) -> Segmentation:
 
 def test_a_place_one_period_off_is_found_from_its_alias() -> None:
     index = _native.PointIndex(hall(), 0.5)
-    search = NearbySearch(index, NearbyConfig(), Separation())
+    search = NearbySearch(index, Separation())
     points = scene(hall()).structure
     found = search.around(points, geometry.yaw_transform(0.0, (5.0, 0.0, 0.0)))
     assert any(np.abs(T - np.eye(4)).max() < 0.3 for T in found)
 
 
 def posterior(cloud: Float32, seen: Float32, candidate: Candidate) -> Posterior:
-    config, apart = VerificationConfig(), Separation()
-    likelihood = Likelihood(MapCloud(cloud, np.zeros(3), config, apart, 0, False, np.zeros((1, 3))))
+    path = np.zeros((1, 3))
+    likelihood = Likelihood(MapCloud(cloud, np.zeros(3), Separation(), 0, False, path))
     scorer = likelihood.scorer(likelihood.query(scene(seen)), lambda _: candidate.inliers)
     scorer.add([candidate])
     return scorer.measure(thorough=True)

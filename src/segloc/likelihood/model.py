@@ -15,7 +15,7 @@ from pydantic import Field
 from ..errors import ConfigError, WeightsError
 from ..system.section import Section
 from ..types import Float32, Pose
-from .observation import Aligned, Count, Evidence, Walls
+from .observation import CHANCE, Aligned, Count, Evidence, Walls
 
 FEATURES = (
     "on_surface",
@@ -32,9 +32,9 @@ _PRIOR, _SEEN_PRIOR = 10.0, 15.0
 """Points by which shares of surfaces and of the map in view are smoothed."""
 _NEARLY_ALL = 0.05
 """Shares nearer to all or nothing than this are hardly told apart: noise decides there."""
-_CHANCE_OVERLAP, _KNOWN_PRIOR = 0.25, 0.2
-"""Share of known points that lie on the map at some pose of any map, and by how many, as a share of
-all, those of a pose are smoothed: a pose that the map knows nothing about fits as chance does."""
+_KNOWN_PRIOR = 0.2
+"""By how many points, as a share of all, those known are smoothed: a pose that the map knows
+nothing about fits as chance does."""
 CHANCE_WALLS = Walls(np.full(1, 0.4, np.float32), np.ones(1, np.float32))
 """Share of each wall patch that some pose of any map explains, and how sure that is."""
 _WALLS_ALIKE = 0.15
@@ -179,7 +179,7 @@ def rough_measures(overlap: float, rival: float, inliers: int, elsewhere: int) -
         Segments that agree here, and at most elsewhere.
     """
     odds = share_odds(overlap)
-    over = odds - max(share_odds(rival), share_odds(_CHANCE_OVERLAP))
+    over = odds - max(share_odds(rival), share_odds(CHANCE))
     return odds, over, inlier_ratio(inliers, elsewhere)
 
 
@@ -210,7 +210,7 @@ def differing(here: Walls, elsewhere: Walls) -> Float32:
 def known_odds(known: Evidence) -> float:
     """Return the log-odds of the points on the map to those beside it; chance if all is unknown."""
     least = _KNOWN_PRIOR * max(known.of, 1)
-    on, off = known.on + _CHANCE_OVERLAP * least, known.off + (1.0 - _CHANCE_OVERLAP) * least
+    on, off = known.on + CHANCE * least, known.off + (1.0 - CHANCE) * least
     return math.log(on / off)
 
 
@@ -239,7 +239,7 @@ def surface_odds(count: Count) -> float:
     return count.log_odds(_PRIOR + _NEARLY_ALL * count.of)
 
 
-CHANCE_RIVAL = share_odds(_CHANCE_OVERLAP), 0.0
+CHANCE_RIVAL = share_odds(CHANCE), 0.0
 """Measures of the best wrong pose of any map: half of the map in view is seen."""
 
 

@@ -9,30 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field
 
 from .. import _native, geometry
 from ..geometry import Separation
-from ..system.section import Section
 from ..types import Float32, Pose
 
 _RISE_M, _STOREYS_M, _STOREYS_SAMPLE = 0.4, 10.0, 1000
 """Step of the search for storeys, radius of the map points that bound it, and their number."""
 _STOREY_FITS = 0.8
 """Least relative fit of a rival on another storey."""
+_BESIDE_M, _STEP_M, _RANGE_M, MOST_BESIDE = 15.0, 0.5, 30.0, 4
+"""Largest shift along x and y, step of the shifts, range of the compared points, most rivals."""
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
 """Turns at which built places are similar."""
-
-
-class NearbyConfig(Section):
-    """Search around a candidate."""
-
-    half_width_m: float = Field(
-        15.0, ge=0, le=40, description="largest shift along x and y, metres"
-    )
-    cell_m: float = Field(0.5, ge=0.4, le=5, description="step of the shifts, metres")
-    range_m: float = Field(30.0, ge=5, le=90, description="range of the compared points, metres")
-    most: int = Field(4, ge=0, le=100, description="most rivals kept")
 
 
 class NearbySearch:
@@ -42,15 +31,12 @@ class NearbySearch:
     ----------
     index : PointIndex
         Index of the map's cloud.
-    config : NearbyConfig
     separation : Separation
         Separation of distinct places.
     """
 
-    def __init__(
-        self, index: _native.PointIndex, config: NearbyConfig, separation: Separation
-    ) -> None:
-        self._index, self._config, self._separation = index, config, separation
+    def __init__(self, index: _native.PointIndex, separation: Separation) -> None:
+        self._index, self._separation = index, separation
         self._headings = [math.radians(d) for d in _TURNS_DEG]
 
     def around(self, points: Float32, T: Pose) -> list[Pose]:
@@ -58,19 +44,18 @@ class NearbySearch:
 
         T is the transform of (N, 3) points to the map's cloud.
         """
-        config = self._config
         counts, used = self._index.correlate(
-            points, T, self._headings, config.cell_m, config.half_width_m, config.range_m
+            points, T, self._headings, _STEP_M, _BESIDE_M, _RANGE_M
         )
         share = counts / np.maximum(4.0 * used, 1.0)[:, None, None]
-        shifts = (np.arange(share.shape[1]) - share.shape[1] // 2) * config.cell_m
+        shifts = (np.arange(share.shape[1]) - share.shape[1] // 2) * _STEP_M
         h, i, j = 0, len(shifts) // 2, len(shifts) // 2  # the pose itself
         found: list[Pose] = []
         while True:
             close = np.hypot(shifts[:, None] - shifts[i], shifts - shifts[j])
             share[h, close < self._separation.metres] = -1.0
             h, i, j = (int(k) for k in np.unravel_index(int(share.argmax()), share.shape))
-            if len(found) == config.most or share[h, i, j] <= 0.0:
+            if len(found) == MOST_BESIDE or share[h, i, j] <= 0.0:
                 return found
             moved = T @ geometry.yaw_transform(self._headings[h])
             moved[:2, 3] += shifts[j], shifts[i]

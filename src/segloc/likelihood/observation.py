@@ -23,11 +23,25 @@ from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..localization import NextView
 from ..types import Float32, Float64, Int64, Pose
-from .config import VerificationConfig
 from .nearby import NearbySearch
 from .next_view import RADIUS_M, next_view
 from .registration import ERRORS, Aligner, Alignment, Target, thinned
 
+OVERLAP_M, _POINTS = 0.3, 2000
+"""Distance within which a query point lies on the map, and the most points compared."""
+_ROUGH_M, _ROUGH_POINTS = 0.5, 500
+"""The same before alignment."""
+CHANCE = 0.25
+"""Share of points that lie on the map at some pose of any map: those in unmapped space count so."""
+_ICP_VOXEL_M, _ICP_M, _ICP_RANGE_M = 0.8, 1.5, 35.0
+"""Voxels of clouds that are aligned, their longest correspondences, and the range of points."""
+SEEN_M, VIEW_M, VIEW_DEG, BEHIND_M = 0.4, 30.0, 2.0, 0.7
+"""Largest distance of a seen map point from a query point, range of the map points compared, width
+of a pixel of the range image, and how far behind a point a ray violates free space."""
+_VIEW_POINTS = 3000
+"""Most map points compared."""
+_FLUSH_M = 0.1
+"""Largest distance of a point on a wall's surface."""
 _STOREY_SAMPLE = 200
 """Points of a query in the search for other storeys."""
 _CLOSE_VOXEL_M = 0.3
@@ -175,11 +189,11 @@ class QueryCloud:
         Rough overlaps so far, by pose.
     """
 
-    def __init__(self, scene: Segmentation, config: VerificationConfig, aligner: Aligner) -> None:
-        self.sample = thinned(scene.structure, config.overlap_sample)
+    def __init__(self, scene: Segmentation, aligner: Aligner) -> None:
+        self.sample = thinned(scene.structure, _POINTS)
         self.aligned: dict[bytes, Alignment | None] = {}
         self.rough: dict[bytes, float] = {}
-        self._scene, self._config, self._aligner = scene, config, aligner
+        self._scene, self._aligner = scene, aligner
         self._image: _native.VisibilityCheck | None = None
         self._storey: tuple[float, float] | None = None
         self._surface: _native.Surface | None = None
@@ -190,8 +204,8 @@ class QueryCloud:
     def surface(self) -> _native.Surface:
         """Surface for alignment; built once."""
         if self._surface is None:
-            scene, radius = self._scene, self._config.icp_radius
-            near = [_native.moved_crop(p, _HERE, radius) for p in (scene.structure, scene.ground)]
+            parts = self._scene.structure, self._scene.ground
+            near = [_native.moved_crop(points, _HERE, _ICP_RANGE_M) for points in parts]
             self._surface = self._aligner.surface(np.concatenate(near))
         return self._surface
 
@@ -200,7 +214,7 @@ class QueryCloud:
         """Surface of the structure, as dense as a map, its compared points, (N, 3), and the wall
         patch of each, (N,); built once."""
         if self._close is None:
-            near = _native.moved_crop(self._scene.structure, _HERE, self._config.icp_radius)
+            near = _native.moved_crop(self._scene.structure, _HERE, _ICP_RANGE_M)
             surface = close_surface(_native.voxel_grid(near, _CLOSE_VOXEL_M))
             points = surface.sampled(_MAX_SURFACE_POINTS)
             self._close = surface, points, patches(points, _WALL_PATCH_M)
@@ -225,18 +239,10 @@ class QueryCloud:
 
     def seen(self, points: Float32, T_local_map: Pose) -> Count:
         """Count the (N, 3) map points that the query sees, of those and the violations."""
-        config = self._config
         if self._image is None:
-            self._image = _native.VisibilityCheck(
-                self._scene.structure,
-                self._scene.ground,
-                config.visibility_range,
-                config.visibility_bin,
-                config.seen_radius,
-            )
-        seen, violations = self._image.count(
-            points, T_local_map, config.seen_radius, config.visibility_margin
-        )
+            parts = self._scene.structure, self._scene.ground
+            self._image = _native.VisibilityCheck(*parts, VIEW_M, VIEW_DEG, SEEN_M)
+        seen, violations = self._image.count(points, T_local_map, SEEN_M, BEHIND_M)
         return Count(seen, seen + violations)
 
 
@@ -249,7 +255,6 @@ class MapCloud:
         Cloud relative to ``origin``.
     origin : (3,) float64
         Origin of the cloud in map coordinates.
-    config : VerificationConfig
     separation : Separation
         Largest motion of a pose by ICP.
     threads : int
@@ -258,39 +263,43 @@ class MapCloud:
         True if the map has several storeys.
     path : (M, 3) float64
         Positions of the mapping sensor, in map coordinates.
+    thicker_m : float
+        By how much farther a point on a wall may be off, where walls of the map are thick [m].
+    refine : bool
+        Whether poses are aligned.
     """
 
     def __init__(
         self,
         cloud: Float32,
         origin: Float64,
-        config: VerificationConfig,
         separation: Separation,
         threads: int,
         storeyed: bool,
         path: Float64,
+        *,
+        thicker_m: float = 0.0,
+        refine: bool = True,
     ) -> None:
-        self._config, self._origin, self._separation = config, origin, separation
+        self._origin, self._separation, self._refine = origin, separation, refine
         self._storeyed, self._path = storeyed, path - origin
-        self._aligner = Aligner(config.icp_voxel, config.icp_max_correspondence, threads)
-        radius = max(config.coarse_radius, config.overlap_radius, RADIUS_M)
-        index = _native.PointIndex(cloud, radius)
-        self._target = Target(
-            self._aligner.surface(cloud, target=True), index, config.unmapped_overlap
-        )
-        self._nearby = NearbySearch(index, config.nearby, separation)
+        self._flush_m = _FLUSH_M + thicker_m
+        self._aligner = aligner(threads)
+        index = _native.PointIndex(cloud, max(_ROUGH_M, OVERLAP_M, RADIUS_M))
+        self._target = Target(self._aligner.surface(cloud, target=True), index, CHANCE)
+        self._nearby = NearbySearch(index, separation)
         self._close = close_surface(cloud, target=True)
         self._known = _native.KnownSpace(
             index,
             geometry.spaced(self._path, _VIEWPOINT_SPACING_M),
-            config.visibility_range,
-            config.visibility_bin,
-            config.visibility_margin,
+            VIEW_M,
+            VIEW_DEG,
+            BEHIND_M,
         )
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """Preprocess a query cloud for comparison with this one."""
-        return QueryCloud(scene, self._config, self._aligner)
+        return QueryCloud(scene, self._aligner)
 
     def rough_overlap(self, poses: Sequence[Pose], query: QueryCloud) -> list[float]:
         """Return the overlap at poses T_map_local before alignment, of some of the points.
@@ -300,13 +309,9 @@ class MapCloud:
         keys = [T.tobytes() for T in poses]
         fresh = [k for k, key in enumerate(keys) if key not in query.rough]
         if fresh:
-            config = self._config
-            overlap = self._target.index.overlap(
-                thinned(query.sample, config.coarse_sample),
-                np.stack([self._relative(poses[k]) for k in fresh]),
-                config.coarse_radius,
-                config.unmapped_overlap,
-            )
+            few = thinned(query.sample, _ROUGH_POINTS)
+            there = np.stack([self._relative(poses[k]) for k in fresh])
+            overlap = self._target.index.overlap(few, there, _ROUGH_M, CHANCE)
             query.rough |= {keys[k]: float(o) for k, o in zip(fresh, overlap, strict=True)}
         return [query.rough[key] for key in keys]
 
@@ -317,13 +322,10 @@ class MapCloud:
 
     def around(self, T_map_local: Pose, query: QueryCloud) -> list[Pose]:
         """Return the poses at other places around one at which the clouds roughly fit."""
-        T, config = self._relative(T_map_local), self._config
+        T = self._relative(T_map_local)
         few = thinned(query.sample, _STOREY_SAMPLE)
         beside = self._nearby.around(query.sample, T)
-        return [
-            self._absolute(T)
-            for T in (*beside, *self._nearby.storeys(few, T, config.coarse_radius))
-        ]
+        return [self._absolute(T) for T in (*beside, *self._nearby.storeys(few, T, _ROUGH_M))]
 
     def aligned(self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None) -> Aligned:
         """Align some of a query's points from a pose; at the pose itself if ICP fails.
@@ -331,7 +333,7 @@ class MapCloud:
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
         T, _ = self._from(T_map_local, query, known, roughly=True)
-        overlap = self._target.overlap(query.sample, T, self._config.overlap_radius)
+        overlap = self._target.overlap(query.sample, T, OVERLAP_M)
         return Aligned(self._absolute(T), overlap, self._seen(query, T))
 
     def measured(
@@ -341,11 +343,10 @@ class MapCloud:
 
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
-        config = self._config
         T, found = self._from(T_map_local, query, known, roughly=False)
         covariance = None if found is None else ERRORS.widened(found.covariance)
-        overlap, rmse = self._target.overlap_rmse(query.sample, T, config.overlap_radius)
-        codes = self._known.codes(query.sample, T, config.overlap_radius)
+        overlap, rmse = self._target.overlap_rmse(query.sample, T, OVERLAP_M)
+        codes = self._known.codes(query.sample, T, OVERLAP_M)
         on_surface, walls = self._walls(query, T)
         level = self._target.surface.off_plane(query.surface, T, *_LEVEL, _MAX_SURFACE_POINTS)
         return Observation(
@@ -385,7 +386,7 @@ class MapCloud:
         off = self._close.off_plane(surface, T, *_WALL, _MAX_SURFACE_POINTS)
         alone = np.flatnonzero(np.isinf(off))
         known = np.isfinite(off)
-        codes = self._known.codes(points[alone], T, self._config.overlap_radius)
+        codes = self._known.codes(points[alone], T, OVERLAP_M)
         known[alone[codes == THROUGH]] = True
         near, far = _EXPLAINED_M
         explained = np.clip((far - off[known]) / (far - near), 0.0, 1.0)
@@ -394,7 +395,7 @@ class MapCloud:
         share = np.bincount(patch[known], explained, minlength=count) / np.maximum(of, 1)
         weight = np.minimum(of / _SURE_PATCH, 1.0)
         walls = Walls(share.astype(np.float32), weight.astype(np.float32))
-        return _within(off, self._config.flush_offset), walls
+        return _within(off, self._flush_m), walls
 
     def _seen(self, query: QueryCloud, T: Pose) -> Count:
         """Count the map points in view that the query sees, and those compared.
@@ -405,10 +406,7 @@ class MapCloud:
         low, high = -np.inf, np.inf
         if self._storeyed:
             low, high = (z + height for height in query.storey())
-        config = self._config
-        points = self._target.index.sample(
-            x, y, config.visibility_range, config.visibility_sample, low, high
-        )
+        points = self._target.index.sample(x, y, VIEW_M, _VIEW_POINTS, low, high)
         return query.seen(points, np.ascontiguousarray(geometry.inverse(T)))
 
     def _from(
@@ -427,7 +425,7 @@ class MapCloud:
 
     def _alignment(self, T: Pose, query: QueryCloud, roughly: bool) -> Alignment | None:
         """Align the clouds; None if ICP fails or moves too far from T."""
-        if not self._config.refine:
+        if not self._refine:
             return None
         key = self._origin.tobytes() + T.tobytes() + bytes([roughly])
         if key not in query.aligned:
@@ -443,6 +441,11 @@ class MapCloud:
 
     def _absolute(self, T: Pose) -> Pose:
         return geometry.rigid(T[:3, :3], T[:3, 3] + self._origin)
+
+
+def aligner(threads: int) -> Aligner:
+    """Return the aligner of queries with maps."""
+    return Aligner(_ICP_VOXEL_M, _ICP_M, threads)
 
 
 def patches(points: Float32, side_m: float) -> Int64:

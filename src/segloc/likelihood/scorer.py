@@ -23,9 +23,12 @@ from .model import (
     shipped_model,
     walls_over,
 )
+from .nearby import MOST_BESIDE
 from .observation import Aligned, Observation, QueryCloud
 from .posterior import Posterior, ScoredPose, log_odds
 
+_MOST_PLACES = 8
+"""Most promising places, which are aligned."""
 _MOST_ALIGNED, _MOST_MEASURED = 20, 8
 """Places that a thorough search aligns, and measures to the end."""
 _FIRST = 2
@@ -258,7 +261,7 @@ class Scorer:
             for place, away in zip(self.places, apart, strict=True)
         ]
         order = sorted(range(len(first)), key=lambda k: (not first[k], -self.places[k].rough))
-        return [self.places[k] for k in order[: self._config.max_places]]
+        return [self.places[k] for k in order[:_MOST_PLACES]]
 
     def _try_beside(self, rivals: int) -> bool:
         """Measure beside few rivals; return whether a place is as sure as can be.
@@ -332,7 +335,7 @@ class Scorer:
     def _next(self, thorough: bool) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""
         begun = sum(place.aligned is not None for place in self.places)
-        most = self._config.max_places + self._config.nearby.most  # those about the best one
+        most = _MOST_PLACES + MOST_BESIDE
         may_begin = begun < (_MOST_ALIGNED if thorough else most)
         for place in self.places:
             if place.known is not None and place.fit is None:

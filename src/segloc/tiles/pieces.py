@@ -12,8 +12,7 @@ from ..config import Config
 from ..frontend.segmentation import Segmentation
 from ..geometry import cells_of
 from ..likelihood import Likelihood, shipped_model
-from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud
-from ..likelihood.registration import Aligner
+from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud, aligner
 from ..localization import NextView
 from ..localizer import cloud_of
 from ..map.segment_map import SegmentMap
@@ -99,9 +98,7 @@ class TiledQuery(QueryCloud):
     """A query's cloud, and the clouds of the tiles with which it was compared."""
 
     def __init__(self, scene: Segmentation, config: Config) -> None:
-        icp = config.verification
-        aligner = Aligner(icp.icp_voxel, icp.icp_max_correspondence, config.threads)
-        super().__init__(scene, icp, aligner)
+        super().__init__(scene, aligner(config.threads))
         self.clouds: dict[Tile, MapCloud] = {}  # kept for the query, whatever the memory
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ... import geometry
+from ...likelihood.observation import OVERLAP_M
 from ...localization import Localization, Reason
 from ...localizer import Localizer
 from ...map.segment_map import SegmentMap
@@ -98,7 +99,7 @@ def trace(
         inliers=inliers,
         prior_map=found.prior_map,
         T_map_local=T,
-        on_map=_on_map(localizer, found.prior_map, query.scene.structure, T),
+        on_map=_on_map(found.prior_map, query.scene.structure, T),
         prior=prior_log_odds(likelihood.model),
         parts=() if best is None else parts_of(likelihood.model, found),
     )
@@ -126,9 +127,7 @@ def _pairs(
     return np.stack([matches.query[chosen], matches.map[chosen]], axis=1), fits[chosen]
 
 
-def _on_map(
-    localizer: Localizer, prior_map: SegmentMap, points: Float32, T_map_local: Pose | None
-) -> Bools:
+def _on_map(prior_map: SegmentMap, points: Float32, T_map_local: Pose | None) -> Bools:
     """Return which points of a query lie on the map's cloud at a pose."""
     if T_map_local is None or not len(points) or not len(prior_map.cloud):
         return np.zeros(len(points), dtype=bool)
@@ -137,8 +136,7 @@ def _on_map(
     near = ((prior_map.cloud > low) & (prior_map.cloud < high)).all(axis=1)
     if not near.any():
         return np.zeros(len(points), dtype=bool)
-    radius = localizer.config.verification.overlap_radius
-    distances, _ = cKDTree(prior_map.cloud[near]).query(placed, distance_upper_bound=radius)
+    distances, _ = cKDTree(prior_map.cloud[near]).query(placed, distance_upper_bound=OVERLAP_M)
     return np.asarray(np.isfinite(distances))
 
 
