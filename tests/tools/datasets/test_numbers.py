@@ -59,6 +59,7 @@ def test_files_named_by_stamps_take_poses_by_time(name: str, unit: float, tmp_pa
         (["20240101_0001", "20240101_0002"], [1, 2]),
         (["1_000100", "1_000200"], [100, 200]),
         (["12-00-59", "12-01-00"], [0, 1]),
+        (["000007_vlp16", "000010_vlp16"], [7, 10]),
         (["20230101120000.123", "20230101120001.023"], [0, 1]),
     ],
 )
@@ -101,6 +102,73 @@ def test_poses_by_time_since_the_start_beside_numbered_scans(
     assert sequence.poses[:, 0, 3].tolist() == list(range(COUNT))
     step = 3.0 if scale == 1.0 and whole else 0.2
     np.testing.assert_allclose(np.diff(sequence.stamps), step, atol=1e-3)
+
+
+@pytest.mark.parametrize("decimals", [3, 6, 9])
+def test_key_frames_take_the_poses_of_their_own_times(decimals: int, tmp_path: Path) -> None:
+    """They are farther apart than poses are interpolated over, and files round."""
+    times = [1_700_000_000_123_456_789 + 2_000_001_237 * k for k in range(20)]
+    scans = numbered(tmp_path / "run", [f"{t}.npy" for t in times])
+    poses = tmp_path / "poses.tum"
+    texts = [f"{t // 10**9}.{t % 10**9:09}"[: 11 + decimals] for t in times]
+    poses.write_text("".join(LINE.format(text, k) for k, text in enumerate(texts)))
+    assert open_sequence(scans, poses).poses[:, 0, 3].tolist() == list(range(20))
+
+
+TABLE = "{} {} 0 0 0.8660254 0 0 0.5\n"
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "header_stamp_ns x y z qw qx qy qz",
+        "nsec x y z qw qx qy qz",
+        "# run 3\n# made by hand\n# gps_time_ns x y z qw qx qy qz",
+        "# run 3\nunix_timestamp_ns x y z qw qx qy qz",
+    ],
+)
+def test_times_and_rotations_follow_the_names_of_columns(head: str, tmp_path: Path) -> None:
+    times = [1_700_000_000 * 10**9 + 2 * 10**8 * k for k in range(COUNT)]
+    scans, table = numbered(tmp_path / "run", [f"{t}.npy" for t in times]), tmp_path / "poses.txt"
+    rows = [TABLE.format(times[0] + 10**7 * k, 0.05 * k) for k in range(200)]
+    table.write_text(f"{head}\n{''.join(rows)}")
+    sequence = open_sequence(scans, table)
+    np.testing.assert_allclose(sequence.poses[:, 0, 3], np.arange(COUNT), atol=1e-4)
+    np.testing.assert_allclose(sequence.poses[:, 1, 0], np.sin(np.pi / 3), atol=1e-6)
+
+
+def test_poses_are_known_by_the_numbers_of_frames(tmp_path: Path) -> None:
+    scans, table = numbered(tmp_path / "run", [f"{k}.npy" for k in range(9)]), tmp_path / "p.txt"
+    head = "# frame x y z qw qx qy qz\n"
+    table.write_text(head + "".join(TABLE.format(k, k) for k in (0, 4, 8)))
+    assert open_sequence(scans, table).indices.tolist() == [0, 4, 8]
+    for other in (range(1, 10), [7] * 9):  # counted from 1, or the number of a robot
+        rows = "".join(TABLE.format(number, k) for k, number in enumerate(other))
+        table.write_text(head + rows)
+        assert open_sequence(scans, table).poses[:, 0, 3].tolist() == list(range(9))
+    edges = "".join(f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1\n" for k in range(4, 8))
+    (tmp_path / "graph.g2o").write_text(edges)
+    found = open_sequence(scans, tmp_path / "graph.g2o")
+    assert found.indices.tolist() == found.poses[:, 0, 3].tolist() == [4, 5, 6, 7]
+
+
+def test_rows_count_from_scan_zero_and_it_is_said(tmp_path: Path) -> None:
+    scans = numbered(tmp_path / "run", [f"{k}.npy" for k in range(1, 10)])
+    np.savetxt(tmp_path / "poses.txt", np.tile(np.eye(4)[:3].ravel(), (10, 1)))
+    sequence = open_sequence(scans, tmp_path / "poses.txt")
+    assert any("scan 1 has row 2" in note for note in sequence.notes)
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e9])
+def test_a_coincidence_makes_no_numbers_of_times(scale: float, tmp_path: Path) -> None:
+    sequence = tmp_path / "00"
+    numbered(sequence / "velodyne", [f"{k:06}.bin" for k in range(300)])
+    (sequence / "times.txt").write_text("".join(f"{0.1 * k}\n" for k in range(300)))
+    poses = tmp_path / "poses.tum"
+    rows = [LINE.format(round(scale * 0.1 * k), k) for k in range(300)]
+    poses.write_text("".join(rows))
+    found = open_sequence(sequence, poses)
+    np.testing.assert_allclose(found.poses[:, 0, 3], np.arange(300), atol=1e-6)
 
 
 def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:

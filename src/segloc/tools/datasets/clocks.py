@@ -45,12 +45,21 @@ def _since_1970(values: Float64, factors: Sequence[float]) -> float | None:
 
 
 def unit_beside(values: Float64, stamps: Float64) -> float | None:
-    """Return the unit [s] in which rising values (K,) enclose some stamps (N,) [s], or None."""
-    for unit in _UNITS:
+    """Return the unit [s] in which rising values (K,) share most time with stamps (N,) [s].
+
+    None if they share none in any.
+    """
+    first, last = float(stamps.min()), float(stamps.max())
+
+    def shared(unit: float) -> float:
         low, high = values[0] * unit, values[-1] * unit
-        if ((stamps >= low) & (stamps <= high)).any():
-            return unit
-    return None
+        if not ((stamps >= low) & (stamps <= high)).any():
+            return -1.0
+        both = min(last, high) - max(first, low)
+        return float(both / max(max(last, high) - min(first, low), 1e-9))
+
+    best = max(_UNITS, key=shared)
+    return best if shared(best) >= 0.0 else None
 
 
 def unit_by_spacing(values: Float64, poses: Float64) -> float | None:

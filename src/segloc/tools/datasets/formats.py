@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Protocol, cast
 
+from .layout import locations
 from .loaders import (
     boreas,
     helipr,
@@ -59,8 +61,7 @@ def identify(path: Path) -> tuple[Format, Path, str | None] | None:
             return known, path, None
     if not path.is_dir():
         return None
-    inside = path.resolve()
-    for known in FORMATS:
+    for known, inside in product(FORMATS, locations(path)):
         for inner in known.INNER:
             depth = len(Path(inner).parts)
             root = inside.parents[depth - 1] if len(inside.parents) >= depth else inside

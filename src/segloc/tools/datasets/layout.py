@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -95,6 +96,11 @@ def numbers(paths: list[Path]) -> Int64:
 def in_seconds(paths: list[Path], unit: float) -> Float64:
     """Return the numbers in file names as stamps [s], (N,) float64; ``unit`` is in seconds."""
     return np.asarray(numbers(paths) * unit, dtype=np.float64)
+
+
+def locations(path: Path) -> list[Path]:
+    """Return where a folder is as it was given, and behind links."""
+    return list(dict.fromkeys((Path(os.path.normpath(path.absolute())), path.resolve())))
 
 
 def relative(path: Path, root: Path) -> str:

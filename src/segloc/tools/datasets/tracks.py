@@ -27,6 +27,7 @@ LONGEST_GAP_S = 1.0
 _UNUSABLE = "not finite, no unit quaternion, or stamp not rising"
 _MIN_NUMBERS = 0.5  # share of whole stamps that are numbers of scans, if they are no times
 _ROUNDING_S = 1e-6  # of seconds since 1970 in float64 or in decimals
+_KEY_FRAME_S = 1.1e-3  # of times of key frames, in files with three decimals
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,7 @@ class Track:
         if self.clock == "seconds":
             if stamps is None:
                 raise DatasetError(f"{self.source}: stamped poses, but the scans have no stamps")
-            ends = np.clip(stamps, self.keys[0], self.keys[-1])
-            near = np.where(np.abs(ends - stamps) < _ROUNDING_S, ends, stamps)
-            found = interpolated(self.keys, self.poses, near, LONGEST_GAP_S)
+            found = interpolated(self.keys, self.poses, self._rounded(stamps), LONGEST_GAP_S)
         else:
             stamps = indices.astype(np.float64)
             found = interpolated(self.keys, self.poses, stamps, 0.0)
@@ -68,6 +67,17 @@ class Track:
                 f"from {_span(stamps)} ({self.clock})"
             )
         return found
+
+    def _rounded(self, stamps: Float64) -> Float64:
+        """Return stamps (N,) at the poses that they differ from by rounding alone.
+
+        Key frames are not interpolated, and files round to milliseconds.
+        """
+        after = np.clip(np.searchsorted(self.keys, stamps), 0, len(self.keys) - 1)
+        low, high = self.keys[np.maximum(after - 1, 0)], self.keys[after]
+        nearest = np.where(np.abs(low - stamps) < np.abs(high - stamps), low, high)
+        most_s = np.where(high - low > LONGEST_GAP_S, _KEY_FRAME_S, _ROUNDING_S)
+        return np.where(np.abs(nearest - stamps) < most_s, nearest, stamps)
 
     def of_sensor(self, T_body_sensor: Pose) -> Track:
         """Return the track of a sensor mounted on the body of this track."""
@@ -137,6 +147,12 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
     note = f"{path}: {found.note}" if found.note else ""
     if not len(keys):
         raise DatasetError(f"{path}: no poses")
+    if found.kind == "numbered":
+        if np.isin(keys, indices).all():
+            return Track(str(path), keys, poses, "numbers", note)
+        other = f"numbers {keys[0]:.0f} to {keys[-1]:.0f} are not those of the scans: in order"
+        note = f"{note}; {other}" if note else f"{path}: {other}"
+        keys = np.arange(len(keys)).astype(np.float64)
     if found.kind != "stamped":
         return _by_rows(path, keys, poses, indices, note)
     unit = _time_unit(keys, poses, indices, stamps)
@@ -159,13 +175,13 @@ def _time_unit(
         by_number = stamps is None and bool(np.isin(keys, indices).any())
         return None if by_number else unit
     whole = not (keys % 1).any()
+    counted = whole and (np.isin(keys, indices).mean() > _MIN_NUMBERS or period_of(keys) == 1.0)
     if stamps is None:
         spaced = unit_by_spacing(keys, poses) if len(keys) == len(indices) else None
         if not whole:
             return spaced or 1.0
-        counted = np.isin(keys, indices).mean() > _MIN_NUMBERS or period_of(keys) == 1.0
         return None if counted else spaced
-    if whole and np.isin(keys, indices).any():
+    if counted:
         return None
     return unit_beside(keys, stamps) or (None if whole else 1.0)
 
@@ -173,6 +189,9 @@ def _time_unit(
 def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64, note: str) -> Track:
     """Return the track of poses without stamps."""
     if len(keys) > indices.max():
+        if indices.min() > 0:
+            more = f"scan {indices.min()} has row {indices.min() + 1}, since rows count from scan 0"
+            note = f"{note}; {more}" if note else f"{path}: {more}"
         return Track(str(path), keys, poses, "numbers", note)
     count = min(len(keys), len(indices))
     if count < len(indices):

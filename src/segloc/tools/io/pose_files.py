@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NoReturn
 
@@ -42,6 +42,7 @@ _PCD = re.compile(rb"\s*(?:#[^\n]*\n\s*)*VERSION[^\n]*\n(?:[^\n]*\n){1,20}?DATA 
 # --- names of columns -----------------------------------------------------------------------------
 
 _MAX_COLUMNS = 200
+_MAX_HEADER, _MAX_HEADER_BYTES = 100, 1 << 16
 _UNIT = re.compile(r"(\S)\s+(?=[\[(])")  # a unit belongs to the name before it
 _TIME_WORDS = frozenset(
     {"t", "time", "times", "timestamp", "timestamps", "stamp", "ts", "sec", "secs", "second"}
@@ -62,6 +63,8 @@ _PLACE_WORDS = frozenset(
     {"t", "p", "pos", "position", "trans", "translation", "pose", "field", "rs", "r", "m"}
 )
 _NANO_WORDS = frozenset({"nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"})
+_UNIT_WORDS = frozenset({"s", "ms", "us", "ns"})
+_NUMBER_WORDS = frozenset({"frame", "frame_id", "index", "idx", "id", "scan", "scan_id", "number"})
 _TIME_UNITS = {
     r"nsec|nano|\bns\b|_ns": 1e-9,
     r"usec|micro|\bus\b|_us": 1e-6,
@@ -78,6 +81,7 @@ class _Columns:
     quaternion: bool  # False for roll, pitch, yaw
     unit_s: float = 1.0  # unit of times [s]
     degrees: bool | None = None  # unit of Euler angles; None if the names do not tell
+    numbered: bool = False  # True if the times are numbers of frames
 
 
 def delimiter(line: str) -> str | None:
@@ -110,14 +114,20 @@ def _named_columns(names: Sequence[str]) -> _Columns | None:
     if len(times) == 2 and halves:  # seconds, and the nanoseconds of the same stamp
         roles[halves[0]] = "nanoseconds"
         times.remove(halves[0])
+    if not times and "nanoseconds" in roles:  # of the whole stamp
+        times.append(roles.index("nanoseconds"))
+        roles[times[0]] = "time"
     times = ([k for k in times if "stamp" in names[k].lower()] or times)[:1]
+    numbered = [] if times else [k for k, role in enumerate(roles) if role == "number"][:1]
     place = [roles.index(role) for role in (*_AXES, *turn)]
     nanos = [roles.index("nanoseconds")] if times and "nanoseconds" in roles else []
     text = names[times[0]].lower() if times and not nanos else ""
     unit = next((size for word, size in _TIME_UNITS.items() if re.search(word, text)), 1.0)
     angle = names[roles.index(turn[0])].lower()
     degrees = True if "deg" in angle or "°" in angle else False if "rad" in angle else None
-    return _Columns([*times, *place, *nanos], bool(times), turn == _QUATERNION, unit, degrees)
+    keys = times or numbered
+    by_turn = turn == _QUATERNION, unit, degrees
+    return _Columns([*keys, *place, *nanos], bool(keys), *by_turn, bool(numbered))
 
 
 def _words(name: str) -> list[str]:
@@ -141,7 +151,10 @@ def _role(name: str) -> str:
         return axis
     if parts[-1] in _NANO_WORDS and parts[0] not in _TIME_WORDS:
         return "nanoseconds"
-    return "time" if parts[0] in _TIME_WORDS or parts[-1] in _TIME_WORDS else ""
+    named = parts[:-1] if len(parts) > 1 and parts[-1] in _UNIT_WORDS else parts
+    if parts[0] in _TIME_WORDS or named[-1] in _TIME_WORDS:
+        return "time"
+    return "number" if "_".join(parts) in _NUMBER_WORDS else ""
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -152,8 +165,9 @@ class PoseFile:
     """Poses of a file."""
 
     trajectory: Trajectory
-    # "stamped": times or scan numbers; "kitti": rows of 12 numbers; "rows": other rows in order
-    kind: Literal["stamped", "kitti", "rows"]
+    # "stamped": times or scan numbers; "numbered": perhaps of the scans; "kitti": rows of a
+    # matrix; "rows": other rows in order
+    kind: Literal["stamped", "numbered", "kitti", "rows"]
     note: str = ""  # how columns were read that could mean something else
 
 
@@ -210,9 +224,11 @@ def read_pose_file(path: str | Path) -> PoseFile:
         if fault is not None:
             raise DatasetError(f"{table.where(fault[0])}: {fault[1]}")
         width = table.numbers.shape[1]
+        if table.columns and table.columns.numbered:
+            return PoseFile(Trajectory(stamps, poses), "numbered", note)
         if table.columns.timed if table.columns else width in _TIMED:
             return PoseFile(Trajectory(stamps, poses), "stamped", note)
-        kitti = table.columns is None and width == _KITTI
+        kitti = table.columns is None and width in (_KITTI, 16)
         return PoseFile(Trajectory(stamps, poses), "kitti" if kitti else "rows", note)
 
 
@@ -281,10 +297,9 @@ def _from_g2o(data: bytes) -> _Table:
     numbers = sorted(rows)
     table = np.array([rows[number][0] for number in numbers], dtype=np.float64)
     lines = [rows[number][1] for number in numbers]
-    timed = numbers[-1] - numbers[0] >= len(numbers)
-    columns = _Columns(list(range(_TUM - 1 + timed)), timed, quaternion=True)
-    note = "" if timed else "the vertices in order, one per scan"
-    return _Table(table if timed else table[:, 1:], lines, columns, note=note)
+    gaps = numbers[-1] - numbers[0] >= len(numbers)
+    columns = _Columns(list(range(_TUM)), timed=True, quaternion=True, numbered=not gaps)
+    return _Table(table, lines, columns)
 
 
 def _from_text(data: bytes) -> _Table:
@@ -293,9 +308,7 @@ def _from_text(data: bytes) -> _Table:
     check_points(len(lines), "poses")
     if not data.strip():
         raise DatasetError("empty file")
-    first = next((k for k, line in enumerate(text) if line.strip()), 0)
-    names = _names(text[first])
-    columns = _named_columns(names)
+    first, names, columns = _header(text, lines[0] if lines else len(text) - 1)
     if lines and lines[0] == first and (columns is not None or is_header(text[first])):
         del lines[0]
         if columns is None:
@@ -319,7 +332,32 @@ def _from_text(data: bytes) -> _Table:
         numbers = np.empty((0, 0))
     if numbers.shape[1] != (len(chosen) if chosen else width) or not (chosen or width in _WIDTHS):
         _raise_first_fault(rows, lines, mark, chosen)
+    if columns and columns.numbered and not (np.diff(numbers[:, 0]) > 0).all():
+        columns, numbers = _without_numbers(columns), numbers[:, 1:]  # such as of a robot
     return _Table(numbers, lines, columns)
+
+
+def _without_numbers(columns: _Columns) -> _Columns:
+    return replace(columns, positions=columns.positions[1:], timed=False, numbered=False)
+
+
+def _header(text: list[str], last: int) -> tuple[int, list[str], _Columns | None]:
+    """Return the line up to the first row that names columns, its names, and what they mean.
+
+    The last one that names poses, or else the first.
+    """
+    lines = [k for k in range(last + 1) if text[k].strip()][:_MAX_HEADER]
+    named = [(k, names, _named_columns(names)) for k in lines if (names := _names(text[k]))]
+    known = [each for each in named if each[2] is not None]
+    return (known or named[:1] or [(0, [], None)])[-1]
+
+
+def header_of(path: Path) -> str:
+    """Return the line that names the columns of a table of poses; "" if there is none."""
+    text = read_file(path)[:_MAX_HEADER_BYTES].decode("utf-8-sig", "replace").split("\n")
+    rows = [k for k, line in enumerate(text) if line.partition("#")[0].strip()]
+    first, _, columns = _header(text, rows[0] if rows else len(text) - 1)
+    return text[first] if columns else ""
 
 
 def _header_fault(names: list[str]) -> str:

@@ -227,3 +227,67 @@ def test_pose_files_that_are_none(name: str, harm: bytes, tmp_path: Path) -> Non
     sequence = open_sequence(path)
     assert sequence.poses is None
     assert [file.name in note and "\n" not in note for note in sequence.notes] == [True]
+
+
+@pytest.mark.parametrize("name", ["MulRan", "NCLT", "Boreas", "Newer College"])
+def test_a_table_with_names_is_read_by_them(name: str, tmp_path: Path) -> None:
+    """Not as the set's own layout, whatever the file is called."""
+    path, table = WRITERS[name][0](tmp_path, DRIVE), tmp_path / "mine.csv"
+    stamps = open_sequence(path).stamps
+    rows = [f"{stamp:.6f},{k},0,0,0,0,0.6,0.8\n" for k, stamp in enumerate(stamps)]
+    for head in ("timestamp,x,y,z,qx,qy,qz,qw", "#timestamp [s],p_x,p_y,p_z,q_x,q_y,q_z,q_w"):
+        table.write_text(f"{head}\n{''.join(rows)}")
+        poses = open_sequence(path, table).poses
+        np.testing.assert_allclose(poses[:, 0, 3], range(len(stamps)), atol=1e-6)
+        np.testing.assert_allclose(poses[:, 1, 0], 0.96, atol=1e-6)
+
+
+def test_matrices_are_of_the_camera_in_kitti_whatever_their_width(tmp_path: Path) -> None:
+    path, T = kitti(tmp_path, DRIVE), np.tile(np.eye(4), (len(DRIVE.stamps), 1, 1))
+    T[:, 2, 3] = range(len(T))  # ahead of a camera
+    np.save(tmp_path / "rows.npy", T[:, :3])
+    np.save(tmp_path / "whole.npy", T)
+    np.savetxt(tmp_path / "sixteen.txt", T.reshape(-1, 16))
+    first, *others = (
+        open_sequence(path, tmp_path / name).poses
+        for name in ("rows.npy", "whole.npy", "sixteen.txt")
+    )
+    assert np.abs(first[-1, :3, 3]).argmax() == 0  # ahead of a LiDAR
+    for poses in others:
+        np.testing.assert_allclose(poses, first, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["KITTI odometry", "KITTI raw", "NCLT"])
+def test_what_lies_beside_a_link_is_found(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name][0](tmp_path, DRIVE)
+    plain, disk = open_sequence(path), tmp_path / "disk"
+    disk.mkdir()
+    path.rename(disk / "elsewhere")
+    path.symlink_to(disk / "elsewhere")
+    linked = open_sequence(path)
+    assert linked.format == plain.format
+    np.testing.assert_array_equal(linked.poses, plain.poses)
+
+
+def test_blank_lines_stand_for_scans_that_are_missing(tmp_path: Path) -> None:
+    path = kitti_raw(tmp_path, DRIVE)
+    whole = open_sequence(path)
+    file = path / "velodyne_points" / "timestamps.txt"
+    lines = file.read_text().rstrip("\n").split("\n")
+    lines[1] = ""
+    file.write_text("\n".join(lines))
+    with pytest.raises(DatasetError, match="blank lines for scans that are there"):
+        open_sequence(path)
+    sorted((path / "velodyne_points" / "data").iterdir())[1].unlink()
+    left = open_sequence(path)
+    assert left.stamps.tolist() == np.delete(whole.stamps, 1).tolist()
+
+
+def test_sweeps_without_files_are_left_out(tmp_path: Path) -> None:
+    path = nuscenes(tmp_path, DRIVE)
+    whole = open_sequence(path)
+    whole.source.paths[1].unlink()
+    left = open_sequence(path)
+    assert left.stamps.tolist() == np.delete(whole.stamps, 1).tolist()
+    assert f"1 of {len(whole)} sweeps left out: no files" in left.notes
+    assert all(len(left.scan(i)) for i in range(len(left)))

@@ -311,6 +311,17 @@ def test_bags_that_were_cut_off(kind: str, tmp_path: Path) -> None:
     assert refused >= 10
 
 
+def test_of_several_bags_the_damaged_one_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for k in range(3):
+        clouds(BagWriter("ros1")).write(folder / f"part_{k}")
+    last = folder / "part_2.bag"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
+    with pytest.raises(DatasetError, match=r"part_2\.bag: "):
+        open_sequence(folder)
+
+
 # --- MCAP of others -------------------------------------------------------------------------------
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ....errors import DatasetError
 from ....types import Scan
+from ...io.pose_files import header_of
 from ...io.trajectory import rigid_poses
 from ..layout import float_rows, holds_scans, in_seconds, scan_files
 from ..recorded import FileSource, Found
@@ -42,7 +43,9 @@ def find(path: Path, topic: str | None) -> Found:
         own_track=lambda: _track(truth, "applanix/lidar_poses.csv") if truth.is_file() else None,
         frame="lidar",
         fields="x y z intensity laser time",
-        own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,
+        own_poses=lambda file: (
+            _track(file, str(file)) if file.suffix == ".csv" and not header_of(file) else None
+        ),
     )
 
 

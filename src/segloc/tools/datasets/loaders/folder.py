@@ -193,10 +193,14 @@ def _stamps_of_pairs(stems: list[str]) -> Float64 | None:
 
 
 def _indices(paths: list[Path], folder: Path) -> list[int]:
+    """Return the last number in each name that is not the same in all, as of a sensor."""
     seen: dict[int, Path] = {}
-    for position, path in enumerate(paths):
-        numbers = _DIGITS.findall(_stem(path))
-        index = int(numbers[-1]) if numbers else position
+    found = [_DIGITS.findall(_stem(path)) for path in paths]
+    columns = list(zip(*found, strict=False)) if len({*map(len, found)}) == 1 else []
+    differ = [k for k, column in enumerate(columns) if len({*map(int, column)}) == len(paths)]
+    last = differ[-1] if differ else -1
+    for position, (path, numbers) in enumerate(zip(paths, found, strict=True)):
+        index = int(numbers[last]) if numbers else position
         if index > np.iinfo(np.int64).max:
             raise DatasetError(f"{path}: the number in its name is too large")
         if index in seen:

@@ -15,7 +15,7 @@ from ....errors import DatasetError
 from ....types import Float64, Int64, Pose
 from ...io.pose_files import read_pose_file
 from ...io.scans import read_file
-from ..layout import holds_scans, numbers, parse_float4, relative, scan_files
+from ..layout import holds_scans, locations, numbers, parse_float4, relative, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, matrix_poses, read_table
 
@@ -34,7 +34,8 @@ def find(path: Path, topic: str | None) -> Found:
     stamps, note = _stamps(path / "times.txt", indices)
     folder = path.resolve()
     # SemanticKITTI's, then the benchmark's.
-    truths = path / "poses.txt", folder.parent.parent / "poses" / f"{folder.name}.txt"
+    beside = (at.parent.parent / "poses" / f"{at.name}.txt" for at in locations(path))
+    truths = path / "poses.txt", *beside
     truth = next((file for file in truths if file.is_file()), None)
     return Found(
         name=folder.name,

@@ -14,7 +14,7 @@ from .... import geometry
 from ....errors import DatasetError
 from ....types import Float64
 from ...io.scans import read_file
-from ..layout import holds_scans, numbers, parse_float4, scan_files
+from ..layout import holds_scans, locations, numbers, parse_float4, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, euler_poses, matrix_poses
 from .kitti import read_values
@@ -41,6 +41,8 @@ def find(path: Path, topic: str | None) -> Found:
         notes.append(f"velodyne_points/timestamps.txt has only {len(times)} rows: not used")
     else:
         stamps = times[indices]
+        if np.isnan(stamps).any():
+            raise DatasetError(f"{path}: timestamps.txt has blank lines for scans that are there")
     return Found(
         name=path.resolve().name,
         format=NAME,
@@ -94,7 +96,7 @@ def _read_packet(path: Path) -> list[float]:
 
 
 def _imu_to_velo(path: Path) -> Float64:
-    for folder in (path, path.resolve().parent):
+    for folder in (path, *(at.parent for at in locations(path))):
         file = folder / "calib_imu_to_velo.txt"
         if file.is_file():
             R, t = read_values(file, "R"), read_values(file, "T")
@@ -106,14 +108,16 @@ def _imu_to_velo(path: Path) -> Float64:
 
 
 def _read_times(path: Path) -> Float64 | None:
-    """Read lines like ``2011-09-26 13:02:25.594360375`` as seconds since 1970."""
+    """Read lines like ``2011-09-26 13:02:25.594360375`` as seconds since 1970.
+
+    NaN for a blank line, where a scan is missing.
+    """
     if not path.is_file():
         return None
-    lines = read_file(path).decode("ascii", "replace").split("\n")
+    lines = read_file(path).decode("ascii", "replace").rstrip().split("\n")
     try:
-        moments = np.array([line.strip() for line in lines if line.strip()], "datetime64[ns]")
-        if np.isnat(moments).any():
-            raise ValueError("not a time")
+        moments = np.array([line.strip() or "NaT" for line in lines], "datetime64[ns]")
     except ValueError as error:
         raise DatasetError(f"{path}: {error}") from error
-    return np.asarray(moments.astype(np.int64) * 1e-9, dtype=np.float64)
+    times = np.where(np.isnat(moments), np.nan, moments.astype(np.int64) * 1e-9)
+    return np.asarray(times, dtype=np.float64)

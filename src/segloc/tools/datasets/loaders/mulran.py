@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ....types import Scan
+from ...io.pose_files import header_of
 from ..layout import (
     column_times,
     drop_missing_returns,
@@ -45,7 +46,9 @@ def find(path: Path, topic: str | None) -> Found:
         own_track=lambda: _track(truth, "global_pose.csv") if truth.is_file() else None,
         frame="ouster",
         fields="x y z intensity, times by column",
-        own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,
+        own_poses=lambda file: (
+            _track(file, str(file)) if file.suffix == ".csv" and not header_of(file) else None
+        ),
     )
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ....types import Scan
-from ..layout import holds_scans, in_seconds, relative, rows_of, scan_files
+from ...io.pose_files import header_of
+from ..layout import holds_scans, in_seconds, locations, relative, rows_of, scan_files
 from ..recorded import FileSource, Found
 from ..tracks import Z_UP, Track, clean_track, euler_poses, read_table
 
@@ -29,7 +30,7 @@ def recognises(path: Path) -> bool:
 
 def find(path: Path, topic: str | None) -> Found:
     files = scan_files(path / "velodyne_sync")
-    truth = _truth(path.resolve())
+    truth = next(filter(None, map(_truth, locations(path))), None)
     return Found(
         name=path.resolve().name,
         format=NAME,
@@ -39,7 +40,9 @@ def find(path: Path, topic: str | None) -> Found:
         own_track=lambda: _track(truth, relative(truth, path.resolve())) if truth else None,
         frame="body, z up",
         fields="x y z intensity laser",
-        own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,
+        own_poses=lambda file: (
+            _track(file, str(file)) if file.suffix == ".csv" and not header_of(file) else None
+        ),
     )
 
 

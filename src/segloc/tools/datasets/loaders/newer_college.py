@@ -13,6 +13,7 @@ import numpy as np
 
 from ....types import Float64, Pose, Scan
 from ...io.pcd import parse_pcd
+from ...io.pose_files import header_of
 from ..layout import column_times, drop_missing_returns
 from ..recorded import FileSource, Found
 from ..tracks import Track, clean_track, quaternion_poses, read_table
@@ -48,7 +49,9 @@ def find(path: Path, topic: str | None) -> Found:
         own_track=lambda: _track(path / truth, truth) if truth else None,
         frame="os1_lidar",
         fields="x y z, times by column",
-        own_poses=lambda file: _track(file, str(file)) if file.suffix == ".csv" else None,
+        own_poses=lambda file: (
+            _track(file, str(file)) if file.suffix == ".csv" and _is_own(file) else None
+        ),
     )
 
 
@@ -64,6 +67,12 @@ def parse(data: bytes) -> Scan:
     kept.dropped, kept.blank = scan.dropped, scan.blank
     kept.missing_returns = scan.missing_returns
     return kept
+
+
+def _is_own(path: Path) -> bool:
+    """Return whether a table has the set's own columns: sec, nsec, position, quaternion."""
+    header = header_of(path).strip("# ")
+    return not header or header.startswith("sec")
 
 
 def _track(path: Path, name: str) -> Track:

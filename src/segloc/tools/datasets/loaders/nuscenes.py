@@ -55,7 +55,10 @@ def find(path: Path, topic: str | None) -> Found:
     name = choose(path, named, topic)
     folder, scene = scenes[name]
     try:
-        sweeps = _sweeps(folder, scene)
+        listed = _sweeps(folder, scene)
+        sweeps = [sweep for sweep in listed if (path / sweep["filename"]).is_file()]
+        if not sweeps:
+            raise DatasetError(f"{path}: none of the {len(listed)} sweeps of {name} is there")
         stamps = np.array([int(sweep["timestamp"]) * 1e-6 for sweep in sweeps])
         files = tuple(path / sweep["filename"] for sweep in sweeps)
     except DatasetError:
@@ -72,7 +75,12 @@ def find(path: Path, topic: str | None) -> Found:
         topic=name,
         frame=_CHANNEL,
         fields="x y z intensity ring",
+        notes=_missing(len(listed) - len(sweeps), len(listed)),
     )
+
+
+def _missing(count: int, listed: int) -> tuple[str, ...]:
+    return (f"{count} of {listed} sweeps left out: no files",) if count else ()
 
 
 def _table(folder: Path, name: str) -> list[Row]:

@@ -18,6 +18,7 @@ import numpy as np
 from .... import geometry
 from ....errors import DatasetError
 from ....types import Float64, Pose, Scan
+from ...io.pose_files import header_of
 from ...io.scans import read_file
 from ..layout import (
     choose,
@@ -70,7 +71,7 @@ def find(path: Path, topic: str | None) -> Found:
         fields=f"x y {kind}" if sensor.startswith("lms") else f"x y z {kind}",
         notes=(missing,) if missing else (),
         own_poses=lambda file: (
-            _track(file, relative(file, path)) if file.suffix == ".csv" else None
+            _track(file, relative(file, path)) if file.suffix == ".csv" and _is_own(file) else None
         ),
     )
 
@@ -96,6 +97,12 @@ def _missing(path: Path, stamps: set[int]) -> str:
     listed = read_table(path, [0], separator=None)[:, 0]
     lost = sum(int(stamp) not in stamps for stamp in listed[np.isfinite(listed)])
     return f"{lost} of the {len(listed)} scans in {path.name} are missing" if lost else ""
+
+
+def _is_own(path: Path) -> bool:
+    """Return whether a table has columns of the set: of the INS, or of visual odometry."""
+    header = header_of(path)
+    return not header or header.startswith("source_timestamp")
 
 
 def _track(path: Path, name: str) -> Track:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ....errors import DatasetError, SeglocError, requires
+from ....errors import DatasetError, MissingDependency, SeglocError, requires
 from ...io import fields
 from ...io.fields import one_line
 from .bag_metadata import MAX_METADATA_BYTES, check_metadata
@@ -31,8 +31,21 @@ def open_bag(paths: tuple[Path, ...]) -> Iterator[BagReader]:
     """
     with faults_of(paths[0]):
         _check_magic(paths)
-    with faults_of(paths[0]), _reader(paths) as reader:
+    with faults_of(_first_faulty(paths)), _reader(paths) as reader:
         yield reader
+
+
+def _first_faulty(paths: tuple[Path, ...]) -> Path:
+    """Return the first of several files that cannot be opened, or else the first."""
+    for path in paths if len(paths) > 1 else ():
+        try:
+            with _reader((path,)):
+                pass
+        except MissingDependency:
+            raise
+        except Exception:  # of any library behind rosbags
+            return path
+    return paths[0]
 
 
 def _reader(paths: tuple[Path, ...]) -> BagReader:
