@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import segloc
+from segloc import Localized, MemoryRecording, NotLocalized, Reason
 from segloc.errors import InvalidScan, SeglocError
 from segloc.frontend.local_cloud import Accumulator
 from segloc.types import Scan
@@ -122,6 +124,21 @@ def test_poses_are_copied() -> None:
     assert scan.T_odom_sensor is not None
     assert scan.T_odom_sensor[0, 3] == 0
     assert scan.stamp == 3.0
+
+
+def test_whole_numbers_are_stamps() -> None:
+    recording = MemoryRecording([np.zeros((1, 3))] * 2, stamps=[0, 1])
+    assert recording.stamps.tolist() == [0.0, 1.0]
+
+
+def test_answers_are_compared_as_objects() -> None:
+    answers = [
+        Localized(T_map_sensor=np.eye(4), covariance=np.eye(6), confidence=0.99),
+        NotLocalized(reason=Reason.NO_POINTS, message="so"),
+    ]
+    for answer in answers:
+        assert answer in answers and copy.deepcopy(answer) not in answers
+        assert len({answer, answer}) == 1
 
 
 def test_all_that_is_public_is_there() -> None:

@@ -171,7 +171,7 @@ class NextView:
         return f"go about {self.metres:.0f} m, {degrees:.0f} deg to the {side}"
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class _Answer:
     """Fields of both answers, about the best candidate.
 
@@ -240,7 +240,7 @@ class _Answer:
         return plot_result(answer, prior_map, axes)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Localized(_Answer):
     """An accepted pose; ``str`` formats it in one line.
 
@@ -274,7 +274,7 @@ class Localized(_Answer):
         )
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class NotLocalized(_Answer):
     """No accepted pose; ``str`` gives the reason in one line.
 

@@ -141,9 +141,9 @@ class Prior:
         """
         return replace(
             self,
-            radius_m=self.radius_m + 0.5 * separation.metres,
-            heading_tolerance_deg=min(180.0, self.heading_tolerance_deg + 0.5 * separation.degrees),
-            height_tolerance_m=self.height_tolerance_m + 0.5 * separation.height,
+            radius_m=_at_most(MAX_RADIUS_M, self.radius_m, separation.metres),
+            heading_tolerance_deg=_at_most(180.0, self.heading_tolerance_deg, separation.degrees),
+            height_tolerance_m=_at_most(MAX_RADIUS_M, self.height_tolerance_m, separation.height),
         )
 
     def distances(self, positions: Float64) -> Float64:
@@ -168,6 +168,10 @@ class Prior:
         """Return the rows of (N, 3) positions within ``reach_m`` of a sensor near the prior."""
         flat = np.linalg.norm(positions[:, :2] - np.asarray(self.position)[:2], axis=1)
         return np.flatnonzero(flat <= self.radius_m + reach_m)
+
+
+def _at_most(most: float, value: float, more: float) -> float:
+    return max(value, min(most, value + 0.5 * more))
 
 
 Near: TypeAlias = Prior | tuple[ArrayLike, float] | tuple[ArrayLike, float, float]

@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from segloc import geometry
 from segloc.errors import MapMismatch, SeglocError
+from segloc.map.info import tolerance_m
 from segloc.map.segment_map import SegmentMap
 from segloc.map.voxel_cloud import VoxelCloud, thin
 from segloc.types import Descriptors
@@ -146,6 +148,19 @@ def test_merging_is_commutative_and_associative_up_to_ids() -> None:
     assert_same(a.merge(b), b.merge(a))
     assert_same(a.merge(b).merge(c), a.merge(b.merge(c)))
     assert len(a.merge(b)) == 20
+
+
+def test_what_clouds_know_of_themselves_survives_merging() -> None:
+    a, b = make_map(1, 2), make_map(3, 4)
+    tilted = geometry.yaw_transform(0.1)
+    for made, metres in ((a, "0.099"), (b, "0.110")):
+        made.metadata.update({"source": "cloud", "thickness_m": metres})
+        made.metadata["T_map_cloud"] = json.dumps(tilted.tolist())
+    assert np.array_equal(a.merge(b).T_map_cloud, tilted)
+    assert tolerance_m(a.merge(b).metadata) == tolerance_m(b.metadata) > tolerance_m(a.metadata)
+    b.metadata["T_map_cloud"] = json.dumps(np.eye(4).tolist())
+    merged = a.merge(b)  # of two frames: no transform is right
+    assert np.array_equal(merged.T_map_cloud, np.eye(4)) and "T_map_cloud" not in merged.metadata
 
 
 def test_merging_renumbers_sessions() -> None:

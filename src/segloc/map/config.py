@@ -17,7 +17,7 @@ from ..frontend.mounting import MountConfig
 from ..frontend.segmentation import SegmentationConfig
 from ..system.section import Section, parse_yaml
 from .compact import CompactConfig
-from .merge import TEXT_SEPARATOR
+from .info import TEXT_SEPARATOR
 from .segment_map import SegmentMap
 
 DEFAULT_METHOD = "profile"

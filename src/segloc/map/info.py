@@ -8,6 +8,8 @@ from typing import Any
 from ..system.text import quantity
 from .georeference import Georeference
 
+TEXT_SEPARATOR = "\n---\n"
+"""Separates the texts of merged maps."""
 SOURCE, CLOUD, PLAN = "source", "cloud", "plan"
 """Key of the metadata, and its values for maps of one finished cloud, and of a building's plan."""
 TOLERANCE = "tolerance_m"
@@ -34,7 +36,7 @@ _MAX_TEXT = 200
 def plan_tolerance_m(metadata: Mapping[str, str]) -> float | None:
     """Return how far a building may be off the plan its map is of; None if it is of no plan.
 
-    It is 0 if it cannot be read, as when maps of different tolerances were merged.
+    It is 0 if it cannot be read, and the largest one of merged maps.
     """
     return _metres(metadata, TOLERANCE) if PLAN in metadata.get(SOURCE, "") else None
 
@@ -51,8 +53,8 @@ def tolerance_m(metadata: Mapping[str, str]) -> float:
 
 
 def _metres(metadata: Mapping[str, str], key: str) -> float:
-    try:
-        metres = float(metadata.get(key, ""))
+    try:  # of merged maps the largest
+        metres = max(map(float, metadata.get(key, "").split(TEXT_SEPARATOR)))
     except ValueError:
         return 0.0
     return metres if 0 < metres <= MAX_TOLERANCE_M else 0.0

@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..types import Float64, Int64
+from .info import CLOUD_FRAME, TEXT_SEPARATOR
 from .voxel_cloud import VoxelCloud
 
 Array = NDArray[Any]
 Key = tuple[bytes, int]
 
 _SAME_M, _SAME_SHARE = 1.0, 0.5
-
-TEXT_SEPARATOR = "\n---\n"
-"""Separates the texts of merged maps."""
 
 
 def union_of_segments(mine: Mapping[str, Array], theirs: Mapping[str, Array]) -> dict[str, Array]:
@@ -60,11 +58,16 @@ def union_of_clouds(mine: VoxelCloud, theirs: VoxelCloud) -> VoxelCloud:
 
 
 def union_of_texts(mine: Mapping[str, str], theirs: Mapping[str, str]) -> dict[str, str]:
-    """Return all entries; those that differ become documents of one YAML stream."""
+    """Return all entries; those that differ become documents of one YAML stream.
+
+    Transforms from clouds that differ are dropped: there is no one cloud.
+    """
     documents: dict[str, set[str]] = defaultdict(set)
     for texts in (mine, theirs):
         for key, text in texts.items():
             documents[key].update(text.split(TEXT_SEPARATOR))
+    if len(documents[CLOUD_FRAME]) != 1:
+        del documents[CLOUD_FRAME]
     return {key: TEXT_SEPARATOR.join(sorted(documents[key])) for key in sorted(documents)}
 
 

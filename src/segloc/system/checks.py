@@ -173,7 +173,7 @@ def checked_rows(values: ArrayLike, name: str, shape: tuple[int, ...], dtype: DT
     )
     if not fits:
         raise InvalidScan(f"{name} must have shape {_format_shape(shape)}, not {array.shape}")
-    if array.dtype.kind not in ("f" if np.issubdtype(dtype, np.floating) else "iu"):
+    if array.dtype.kind not in ("fiu" if np.issubdtype(dtype, np.floating) else "iu"):
         raise InvalidScan(f"{name} cannot have dtype {array.dtype}")
     with np.errstate(over="ignore", invalid="ignore"):
         rows = np.ascontiguousarray(array, dtype=dtype)

@@ -266,3 +266,19 @@ def test_a_scan_of_a_recording_is_chosen_by_its_number(
     assert re.search(r"cloud +\d+ points of 6 scans", capsys.readouterr().out)
     assert run("explain", site.run, "--select", 99, *arguments) == 1
     assert "has scans 0 to 13" in capsys.readouterr().err
+
+
+def test_options_that_would_be_ignored_are_refused(
+    site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command, expected in (
+        (("localize", site.run, "--map", site.map, "--radius", 1), "--radius and --anywhere need"),
+        (("localize", site.run, "--map", site.map, "--anywhere"), "--radius and --anywhere need"),
+        (("odometry", site.run, "--select", "0:3"), "--select needs --out"),
+        (
+            ("live", site.run, "--map", "http://127.0.0.1:9/tiles", "--out", tmp_path / "live"),
+            "http://127.0.0.1:9/tiles",
+        ),
+    ):
+        assert run(*command) == 1
+        assert expected in " ".join(capsys.readouterr().err.split())

@@ -255,11 +255,14 @@ def test_answers_before_a_scan_that_is_cut_off_are_kept(
         shutil.copy(toy.run_2 / f"{i:04d}.npy", tmp_path)
     whole = (tmp_path / "0002.npy").read_bytes()
     (tmp_path / "0002.npy").write_bytes(whole[: len(whole) // 2])
-    out, drive = tmp_path / "out", tmp_path / "drive"
-    assert run("localize", tmp_path, "--map", toy.map, "--out", out) == 1
-    err = capsys.readouterr().err
-    assert "2 of 3 queries" in err and "0002.npy" in err.splitlines()[-1]
-    assert [record["index"] for record in read_records(out)] == [0, 1]
+    drive = tmp_path / "drive"
+    for name, more in (("out", []), ("detail", ["--debug"])):
+        out = tmp_path / name
+        assert run("localize", tmp_path, "--map", toy.map, "--out", out, *more) == 1
+        err = capsys.readouterr().err
+        assert "2 of 3 queries" in err and "0002.npy" in err.splitlines()[-1]
+        assert [record["index"] for record in read_records(out)] == [0, 1]
+        assert len([*out.glob("debug/*.npz")]) == (2 if more else 0)
     poses = ("--poses", toy.run_2 / "poses.tum")
     assert run("live", tmp_path, "--map", toy.map, *poses, "--out", drive) == 1
     assert "0002.npy" in capsys.readouterr().err.splitlines()[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ pytest.importorskip("rosbags")
 pytest.importorskip("kiss_icp")
 
 from samples.bags import BagWriter
-from samples.datasets import START, Drive, kitti
+from samples.datasets import START, Drive, kitti, numbered
 from samples.real import real
 from samples.walk import run
 from segloc_lab.simulation import (
@@ -33,7 +34,7 @@ from segloc.errors import DatasetError, InvalidScan
 from segloc.tools.datasets import open_sequence
 from segloc.tools.datasets.inspection import inspect
 from segloc.tools.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
-from segloc.tools.io import read_trajectory, write_tum
+from segloc.tools.io import Trajectory, read_trajectory, write_tum
 from segloc.types import Float64, Int64, Scan
 
 
@@ -68,7 +69,8 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
 @pytest.mark.slow
 def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> None:
     """Times of points are used; stamps of poses are where they hold, the scans' ends."""
-    bag = open_sequence(simulated.bag("sqlite3", tmp_path))
+    bag_path = simulated.bag("sqlite3", tmp_path)
+    bag = open_sequence(bag_path)
     assert bag.poses is None
     calls: list[tuple[int, int]] = []
     trajectory = lidar_odometry(bag, progress=lambda done, total: calls.append((done, total)))
@@ -78,9 +80,11 @@ def test_odometry_follows_the_truth(simulated: Simulated, tmp_path: Path) -> Non
     assert 0.08 < late.min() <= late.max() <= 0.1
     file = odometry_path(tmp_path / "sqlite3")
     assert file == (tmp_path / "sqlite3.odometry.tum").resolve()
-    assert not kept_odometry(file, bag)
+    assert not kept_odometry(file, bag, bag_path)
     write_tum(file, trajectory)
-    assert kept_odometry(file, bag)
+    assert kept_odometry(file, bag, bag_path)
+    os.utime(file, (0, 0))  # the scans are newer
+    assert not kept_odometry(file, bag, bag_path)
     posed = open_sequence(tmp_path / "sqlite3", file)
     assert posed.indices[0] == 1  # the first scan began before the first pose
     settled = 8  # scans until it knows the speed
@@ -117,6 +121,15 @@ def test_verbs_take_a_bag_without_poses(
     shown = capsys.readouterr().out
     for fact in ("ROS 1 bag", "3D, 32 beams", "10.0 Hz", "x y z intensity time", "lidar"):
         assert fact in shown
+
+
+def test_odometry_is_kept_by_times_that_are_whole_seconds(tmp_path: Path) -> None:
+    times = 1_600_000_000.0 + np.arange(3)
+    path = numbered(tmp_path / "drive", [f"{t:.6f}.npy" for t in times])
+    recording, poses = open_sequence(path), np.tile(np.eye(4), (3, 1, 1))
+    for keys, kept in ((times, True), (np.arange(3.0), False)):
+        write_tum(odometry_path(path), Trajectory(keys, poses))
+        assert kept_odometry(odometry_path(path), recording, path) is kept
 
 
 class Fake:

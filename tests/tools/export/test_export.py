@@ -245,6 +245,11 @@ def test_paths_are_lines_that_break_where_the_path_does(tmp_path: Path) -> None:
     lonlat = place.degrees(np.array([[731.7, 0.0], [0.0, 1112.2]]))
     assert np.allclose(lonlat, [[8.41, 49.0], [8.4, 49.01]], atol=2e-6)
     assert export(path, "geojson", tmp_path / "c.geojson", Options(place=place)) == []
+    far, _ = map_at(tmp_path, (689_000.0, 5_330_000.0, 3.0))
+    with pytest.raises(ConfigError, match="5330 km: build a map in projected coordinates"):
+        export(far, "geojson", tmp_path / "d.geojson", Options(place=place))
+    with pytest.raises(ConfigError, match="--cloud-frame is for tum and geojson, not for ply"):
+        export(path, "ply", tmp_path / "e.ply", Options(in_cloud=True))
 
 
 def found_in(folder: Path, prior_map: SegmentMap, stamp: float) -> Localized:

@@ -36,8 +36,8 @@ LONGEST_GAP_S = 2.0
 """Maximum time between a query and its fix [s]."""
 DEFAULT_ERROR_M, SIGMAS = 10.0, 3.0
 """Error assumed if the receiver reports none [m]; radius of a prior in standard deviations."""
-MAX_RADIUS_M = 500.0
-"""Fixes that need a larger radius are ignored [m]."""
+MAX_ERROR_M = 500.0
+"""Fixes that may be farther off are ignored [m]."""
 
 
 def query_positions(poses: Float64, every_m: float, max_gap_m: float) -> Int64:
@@ -289,6 +289,8 @@ def gnss_priors(
     ConfigError, MissingDependency
         As :meth:`segloc.map.georeference.Georeference.in_map`.
     """
+    if not least_m > 0:
+        raise ConfigError(f"prior: the radius must be above 0 m, not {least_m:g}")
     if stamps is None:
         raise DatasetError(f"{fixes.source}: stamped fixes, but the scans have no stamps")
     xy = georeference.in_map(fixes.degrees)[:, :2]
@@ -299,8 +301,8 @@ def gnss_priors(
     nearest = np.where(sooner, before, after)
     priors: list[Prior | None] = []
     for stamp, k in zip(stamps, nearest, strict=True):
-        radius_m = least_m + SIGMAS * float(error_m[k])
+        off_m = SIGMAS * float(error_m[k])
         late = abs(fixes.stamps[k] - stamp) > LONGEST_GAP_S
-        useless = late or radius_m > MAX_RADIUS_M or not np.isfinite(xy[k]).all()
-        priors.append(None if useless else Prior(xy[k], radius_m, anywhere=True))
+        useless = late or off_m > MAX_ERROR_M or not np.isfinite(xy[k]).all()
+        priors.append(None if useless else Prior(xy[k], least_m + off_m, anywhere=True))
     return priors

@@ -29,7 +29,7 @@ _VOXEL_M = 0.3
 
 def live(
     sequence: options.Recording,
-    prior_map: Annotated[Path, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
+    prior_map: Annotated[str, typer.Option("--map", metavar="MAP.segmap", help="The prior map.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")],
     poses: Annotated[
         Path | None,
@@ -86,7 +86,7 @@ def live(
     check_folder(out)
     if odometry and poses is not None:
         raise ConfigError("--odometry and --poses exclude each other")
-    localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
+    localizer = options.open_localizer(open_map(prior_map), config, threads, weights)
     local = localizer.config.local_cloud
     poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(
@@ -107,12 +107,16 @@ def live(
         played = play(localizer, recording, _settings(every, rate), rate, on_state, update, keeper)
     for line in [] if keeper is None else keeper.notes:
         note(line)
-    facts: dict[str, Any] = {"recording": recording.name, "map": prior_map.name, "rate": rate}
+    facts: dict[str, Any] = {
+        "recording": recording.name,
+        "map": options.map_name(prior_map),
+        "rate": rate,
+    }
     facts |= summary(played, truths, tolerance_m, tolerance_deg)
     facts |= frame_facts(localizer.prior_map)
     fits = correct(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts, fits))
-    _show(facts, f"{recording.name} in {prior_map.name}")
+    _show(facts, f"{recording.name} in {options.map_name(prior_map)}")
     if played.fault is not None:
         raise played.fault
 

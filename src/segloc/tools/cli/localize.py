@@ -47,7 +47,7 @@ def localize(
     tolerance_deg: options.Degrees = 5.0,
     near: options.Near = None,
     height: options.Height = None,
-    radius: options.Radius = 50.0,
+    radius: options.Radius = None,
     anywhere: options.Anywhere = False,
     gnss: options.Gnss = False,
     topic: options.Topic = None,
@@ -73,6 +73,9 @@ def localize(
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
     options.check_every(every)
+    if (radius is not None or anywhere) and near is height is None and not gnss:
+        raise ConfigError("--radius and --anywhere need --near, --height or --gnss")
+    radius = options.RADIUS_M if radius is None else radius
     place = options.parsed_prior(near, radius, anywhere, height)
     if html is not None:
         checked_target(html, ".html", ".htm")
@@ -93,7 +96,7 @@ def localize(
     fault: SeglocError | None = None
     with progress("Localizing") as update, executing(workers, cluster) as executor:
         if debug:
-            results, kept = localize_in_detail(queries, update)
+            results, kept, fault = localize_in_detail(queries, update)
         else:
             results, fault = queries.localize(executor, update)
     if fault is not None:
@@ -104,8 +107,7 @@ def localize(
     tolerance = Tolerance(tolerance_m, tolerance_deg)
     indices = recording.indices[positions]
     evaluation = Evaluation(indices, results, prior, known, tolerance)
-    name = prior_map.rstrip("/").rsplit("/", 1)[-1]
-    show_results(queries, evaluation, name, out, html, kept, json)
+    show_results(queries, evaluation, options.map_name(prior_map), out, html, kept, json)
     if fault is not None:
         raise fault
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ...errors import ConfigError
 from ...system.text import number
 from . import options
 from .console import busy, note, progress, table
@@ -37,6 +38,8 @@ def odometry(
     from ..doctor import pose_findings
     from .recording import open_recording
 
+    if select is not None and out is None:
+        raise ConfigError("--select needs --out: the file beside a recording is of all its scans")
     file = (
         checked_target(out, ".tum", ".txt") if out is not None else odometry_path(sequence, topic)
     )

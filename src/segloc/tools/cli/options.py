@@ -138,7 +138,13 @@ Height = Annotated[
         show_default="any; tolerance 1.5",
     ),
 ]
-Radius = Annotated[float, typer.Option(metavar="METRES", help="Search radius around --near.")]
+RADIUS_M = 50.0
+Radius = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES", help="Search radius around --near.", show_default=f"{RADIUS_M:g}"
+    ),
+]
 Anywhere = Annotated[
     bool,
     typer.Option("--anywhere", help="Search the whole map for queries not found near the prior."),
@@ -176,6 +182,11 @@ Metres = Annotated[
 Degrees = Annotated[
     float, typer.Option(min=0, metavar="DEGREES", help="Heading error above this counts as false.")
 ]
+
+
+def map_name(where: str) -> str:
+    """Return the name of a map by its path or URL."""
+    return where.rstrip("/").rsplit("/", 1)[-1]
 
 
 def parsed_prior(

@@ -69,24 +69,32 @@ class Queries:
 
 def localize_in_detail(
     queries: Queries, update: Update
-) -> tuple[list[Localization], dict[str, bytes]]:
-    """Localize the queries; return the results, and files of their stages."""
+) -> tuple[list[Localization], dict[str, bytes], SeglocError | None]:
+    """Localize the queries; return the results, files of their stages, and a fault.
+
+    The fault is as that of :meth:`Queries.localize`.
+    """
     from ..inspect import trace
     from ..inspect.results import DEBUG, pack, stages_of
 
     localizer, recording = queries.localizer, queries.recording
     if isinstance(localizer, TiledLocalizer):
         raise ConfigError("--debug needs a map file: it does not support tiles")
-    results, kept = [], {}
+    results, kept = list[Localization](), dict[str, bytes]()
     clouds = run.query_clouds(recording, queries.positions, localizer.config, localizer.clock)
     priors = run.each_prior(queries.near, len(queries.positions))
     indices = recording.indices[queries.positions]
-    for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
-        found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
-        results.append(found.result)
-        kept[f"{DEBUG}/{index}.npz"] = pack(stages_of(found))
-        update(len(results), len(queries.positions))
-    return results, kept
+    try:
+        for index, (cloud, times), near in zip(indices, clouds, priors, strict=True):
+            found = trace(localizer, cloud, f"{recording.name}, scan {index}", times, near)
+            results.append(found.result)
+            kept[f"{DEBUG}/{index}.npz"] = pack(stages_of(found))
+            update(len(results), len(queries.positions))
+    except DatasetError as error:
+        if not results:
+            raise
+        return results, kept, error
+    return results, kept, None
 
 
 def query_positions(

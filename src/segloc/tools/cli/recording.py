@@ -88,7 +88,7 @@ def _odometry_of(path: Path, topic: str | None) -> Path:
     """Return the file with the recording's odometry, computed if missing."""
     file = odometry_path(path, topic)
     recording = open_sequence(path, NO_POSES, topic=topic)
-    if kept_odometry(file, recording):
+    if kept_odometry(file, recording, path):
         note(f"odometry from {file}")
         return file
     with progress("Odometry") as update:

@@ -10,9 +10,11 @@ import numpy as np
 
 from ...errors import DatasetError, InvalidScan
 from ...scan_odometry import ScanOdometry
+from ...types import Float64
 from ..io.pose_files import read_trajectory
 from ..io.trajectory import Trajectory, write_tum
-from .recorded import RecordedSequence
+from .clocks import epoch_unit
+from .recorded import FileSource, RecordedSequence
 
 
 def lidar_odometry(
@@ -49,8 +51,7 @@ def lidar_odometry(
         If kiss-icp is not installed.
     """
     odometry = ScanOdometry(max_range_m)
-    timed = recording.stamps is not None and bool((recording.stamps % 1).any())
-    clock = recording.stamps if timed else None
+    clock = _clock(recording)
     keys, poses = [], []
     for i in range(len(recording)):
         scan = recording.raw(i)
@@ -74,17 +75,28 @@ def odometry_path(path: Path, topic: str | None = None) -> Path:
     return place.parent / f"{place.name}{part}.odometry.tum"
 
 
-def kept_odometry(file: Path, recording: RecordedSequence) -> bool:
-    """Return whether a file holds odometry of these scans: same number, same times."""
+def _clock(recording: RecordedSequence) -> Float64 | None:
+    """Return the stamps of the scans; None without any, or if files would take them for numbers."""
+    stamps = recording.stamps
+    if stamps is None or not (epoch_unit(stamps) or (stamps % 1).any()):
+        return None
+    return stamps
+
+
+def kept_odometry(file: Path, recording: RecordedSequence, path: Path) -> bool:
+    """Return whether a file holds odometry of these scans: same number, same times, not older."""
     if not file.is_file():
+        return False
+    source, inside = recording.source, path.iterdir() if path.is_dir() else ()
+    scans = source.paths if isinstance(source, FileSource) else (path, *inside)
+    if max(scan.stat().st_mtime for scan in scans) > file.stat().st_mtime:
         return False
     try:
         stamps = read_trajectory(file).stamps
     except DatasetError:
         return False
-    wanted = recording.stamps
-    if wanted is None or not (wanted % 1).any():
-        wanted = recording.indices.astype(np.float64)
+    clock = _clock(recording)
+    wanted = recording.indices.astype(np.float64) if clock is None else clock
     return len(stamps) == len(wanted) and bool(np.abs(stamps - wanted).max() <= 1.0)
 
 

@@ -113,6 +113,9 @@ FORMATS = {
 }
 
 
+_IN_CLOUD = ("tum", "geojson")
+
+
 def export(path: str | Path, to: str, out: str | Path, options: Options | None = None) -> list[str]:
     """Export a map or results to another format.
 
@@ -141,6 +144,8 @@ def export(path: str | Path, to: str, out: str | Path, options: Options | None =
     form = FORMATS.get(to)
     if form is None:
         raise ConfigError(f"--to {to}: unknown format; supported: {', '.join(FORMATS)}")
+    if options is not None and options.in_cloud and to not in _IN_CLOUD:
+        raise ConfigError(f"--cloud-frame is for {' and '.join(_IN_CLOUD)}, not for {to}")
     source = open_source(Path(path))
     if not isinstance(source, form.of):
         raise ConfigError(f"{path}: --to {to} needs {form.requirement}, and this is {source.what}")

@@ -25,6 +25,7 @@ from .sources import AlignedSource, FoundSource, MapSource, Source
 UNTIMED = "no times: the first column is the scan number"
 _DEGREE_DIGITS = 8
 _UNIX_S = (1e9, 4e9)  # seconds since 1970, of 2001 to 2096
+_FAR_M = 1e5  # of a map from its origin
 _EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84
 
 
@@ -50,6 +51,11 @@ class Place:
 
     def degrees(self, xy: Float64) -> Float64:
         """Convert (N, 2) metres to longitude, latitude; accurate to 1 cm within some kilometres."""
+        if len(xy) and np.abs(xy).max() > _FAR_M:
+            raise ConfigError(
+                f"--at is the map's origin, from which it lies {np.abs(xy).max() / 1e3:.0f} km: "
+                "build a map in projected coordinates with --epsg"
+            )
         phi = math.radians(self.latitude)
         squared = _FLATTENING * (2.0 - _FLATTENING)
         bent = 1.0 - squared * math.sin(phi) ** 2
@@ -154,6 +160,8 @@ class _Axes:
 
     @classmethod
     def of(cls, known: Georeference | None, epsg: int | None, place: Place | None) -> _Axes:
+        if place is not None and known is not None:
+            raise ConfigError("--at: the map is georeferenced, and written in degrees without")
         if place is not None:
             return cls(
                 lambda xyz: np.column_stack([place.degrees(xyz[:, :2]), xyz[:, 2]]), _DEGREE_DIGITS
