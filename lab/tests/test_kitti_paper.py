@@ -75,6 +75,7 @@ METHODS = ("geo", "segmatch-eigen")
 def test_pieces_that_were_cut_off_and_put_together_are_one_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (tmp_path / "keyframes.tum").touch()
     whole = protocol.answers_of(METHODS, tmp_path, tmp_path / "one", say=str)
     for answers in whole.values():
         outcomes = protocol.outcomes_of(answers)

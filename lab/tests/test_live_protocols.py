@@ -11,11 +11,20 @@ import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
 from segloc_lab.peers.loops import ate, chained, tied
-from segloc_lab.protocols import ageing, first_fix, kidnapping, live_streams, rivals
+from segloc_lab.protocols import ageing, change, first_fix, kidnapping, live_streams, rivals
 from segloc_lab.protocols.follower import Follower
 from segloc_lab.report import entries
 
-from segloc import Config, Localizer, MemoryRecording, Scan, __version__, build_map, geometry
+from segloc import (
+    Config,
+    ConfigError,
+    Localizer,
+    MemoryRecording,
+    Scan,
+    __version__,
+    build_map,
+    geometry,
+)
 from segloc.live import Status
 from segloc.loops.graph import Edges
 
@@ -195,3 +204,28 @@ def test_a_robot_is_followed_alike_by_the_same_version_in_another_process(plaza:
             assert T is T_other
         else:
             assert np.array_equal(T, T_other)
+
+
+@pytest.mark.parametrize("beams", [None, 32, 16])
+def test_a_sensor_with_fewer_beams_has_those_of_the_whole(beams: int | None) -> None:
+    whole, some = (change.sensor_of("os1-64", 512, each) for each in (None, beams))
+    count, left = (len(each.elevations_deg) for each in (whole, some))
+    assert left == (beams or 64)
+    for k in range(left):
+        own, of = k, k * (count // left)
+        assert some.elevations_deg[own] == whole.elevations_deg[of]
+        turns, turned = whole.azimuths_deg, some.azimuths_deg
+        assert turned[own % len(turned)] == turns[of % len(turns)]
+    with pytest.raises(ConfigError, match="--beams 48"):
+        change.sensor_of("os1-64", 512, 48)
+
+
+def test_false_answers_of_a_place_that_changed_are_counted_by_method() -> None:
+    entry = {"world": "town", "clouds": "single", "sensor": "s", "map": "own", "way": "w"}
+    answers = [
+        {**entry, "method": method, "right": [True] * 4, "false": false}
+        for method, false in (("profile", 0), ("dsm", 7))
+    ]
+    columns, (row,) = change.table(answers)
+    counted = dict(zip(columns, row, strict=True))
+    assert (counted["false, profile"], counted["false, dsm"]) == (0, 7)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from segloc_lab import report
 from segloc_lab.report import Table, publish, reporting, write
 from segloc_lab.runner import Runner
 
@@ -41,7 +42,9 @@ def test_a_run_resumes_and_adds_up(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def run(*words: str, out: str = "a.jsonl") -> list[int]:
         """Squares of the results."""
         monkeypatch.setattr(sys, "argv", ["x", "--out", str(tmp_path / out), *words])
-        runner = Runner("x", "x.jsonl", first_seed=1, worlds=2, parallel=True)
+        runner = Runner("x", "x.jsonl", first_seed=1, worlds=2, parallel=True, choosing=["shown"])
+        runner.options.add_argument("--kind", default="plain")
+        runner.options.add_argument("--shown")
         runner.parse()
         found = runner.run(square, runner.seeds, ("n",), lambda n: [n])
         return [each["square"] for each in found]
@@ -55,3 +58,32 @@ def test_a_run_resumes_and_adds_up(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     files = [str(tmp_path / name) for name in ("a.jsonl", "b.jsonl")]
     assert run("--add", *files, out="c.jsonl") == [1, 4, 16, 49]
     assert not (tmp_path / "c.jsonl").exists()
+    lines = len((tmp_path / "a.jsonl").read_text().splitlines())
+    assert run("--kind", "other") == [1, 4]  # made anew
+    assert len((tmp_path / "a.jsonl").read_text().splitlines()) == lines + 2
+    assert run("--kind", "other", "--shown", "all") == [1, 4]
+    with (tmp_path / "a.jsonl").open("a") as stream:
+        stream.write('{"n": 4, "squ')  # a run that was killed
+    assert run("--worlds", "3") == [1, 4, 16]
+    assert len((tmp_path / "a.jsonl").read_text().splitlines()) == lines + 2
+    with pytest.raises(ConfigError, match="different code or options"):
+        run("--add", *files, out="c.jsonl")
+
+
+def test_code_is_known_by_every_edit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "_CLONE", tmp_path)
+    files = [tmp_path / name for name in ("src/a.py", "cpp/b.cpp", "lab/src/c.py")]
+    for file in files:
+        file.parent.mkdir(parents=True)
+        file.write_text("1\n")
+    who = ("-c", "user.name=x", "-c", "user.email=x@y")
+    for words in (("init", "-q"), ("add", "."), (*who, "commit", "-qm", "x")):
+        report.git(*words)
+    seen = {report.code()}
+    for k, file in enumerate([*files, tmp_path / "lab/src/new.py"], 2):
+        for edit in (f"{k}\n", f"{k}, too\n"):
+            file.write_text(edit)
+            assert report.code() not in seen and report.commit().endswith("+")
+            seen.add(report.code())
+    (tmp_path / "README.md").write_text("x")
+    assert report.code() in seen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import platform
@@ -20,7 +21,7 @@ from typing import Any
 from scipy.stats import binomtest
 
 from segloc.errors import ConfigError
-from segloc.system.files import write_text
+from segloc.system.files import write_bytes, write_text
 from segloc.tools.cli.machine import processor
 
 from .script import parser
@@ -76,20 +77,54 @@ def reporting(doc: str | None) -> argparse.ArgumentParser:
     return options
 
 
-def entries(*paths: Path) -> list[dict[str, Any]]:
+MADE_WITH = "made_with"
+"""Key of what a kept entry was made with: code and options."""
+
+
+def lines(*paths: Path) -> list[dict[str, Any]]:
     """Read the lines of JSON that runs have kept, in order."""
     return [json.loads(line) for path in paths for line in path.read_text("utf-8").splitlines()]
 
 
+def entries(*paths: Path) -> list[dict[str, Any]]:
+    """Read what runs have kept, without what it was made with."""
+    return without_maker(lines(*paths))
+
+
+def without_maker(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return entries without what they were made with."""
+    return [{key: each[key] for key in each if key != MADE_WITH} for each in found]
+
+
 def earlier(path: Path) -> list[dict[str, Any]]:
-    """Read what an interrupted run has kept; nothing without its file."""
-    return entries(path) if path.exists() else []
+    """Read what an interrupted run has kept, less a line that it did not finish; nothing without.
+
+    That line is removed from the file.
+    """
+    if not path.exists():
+        return []
+    data = path.read_bytes()
+    whole = data[: data.rfind(b"\n") + 1]
+    if whole != data:
+        write_bytes(path, whole)
+    return lines(path)
 
 
 def keep(path: Path, entry: Mapping[str, Any]) -> None:
     """Append a line of JSON to a file, which need not exist."""
     with path.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(entry) + "\n")
+
+
+def require_same(path: Path, made_with: Mapping[str, Any], stored: object) -> None:
+    """Refuse to go on with a file of results that other code or options made.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if stored != made_with:
+        raise ConfigError(f"{path}: made by other code or options: name a new file")
 
 
 def row(*cells: object) -> str:
@@ -101,6 +136,7 @@ Cell = str | int | float | None
 _BEGAN = time.monotonic()
 _CLONE = Path(__file__).resolve().parents[3]
 _PACKAGES = ("segloc", "numpy", "scipy")
+_CODE = ("src", "cpp", "lab/src")
 
 
 @dataclass(frozen=True)
@@ -201,21 +237,30 @@ def environment() -> str:
 
 
 def commit() -> str:
-    """Return the commit of the clone, with ``+`` if src or cpp differ; "unknown" outside of one."""
+    """Return the commit of the clone, with ``+`` if code differs; "unknown" outside of one."""
     try:
         found = git("rev-parse", "--short=10", "HEAD")
-        return f"{found}+" if git("status", "--porcelain", "--", "src", "cpp") else found
+        return f"{found}+" if git("status", "--porcelain", "--", *_CODE) else found
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
 
 def code() -> str:
-    """Return the git trees of src and cpp, which tell whether kept answers are of this code."""
+    """Return what tells whether kept answers are of this code, the laboratory's included.
+
+    The git trees, and a digest of what differs from them.
+    """
     try:
-        trees = [tree[:10] for tree in git("rev-parse", "HEAD:src", "HEAD:cpp").split()]
+        trees = [
+            tree[:10] for tree in git("rev-parse", *(f"HEAD:{part}" for part in _CODE)).split()
+        ]
+        changed = git("diff", "HEAD", "--", *_CODE)
+        for name in git("ls-files", "--others", "--exclude-standard", "--", *_CODE).splitlines():
+            changed += name + (_CLONE / name).read_text("utf-8", "replace")
     except (OSError, subprocess.CalledProcessError):
         return version("segloc")
-    return "-".join(trees) + commit()[10:]
+    edits = [hashlib.sha256(changed.encode()).hexdigest()[:10]] if changed else []
+    return "-".join([*trees, *edits])
 
 
 def git(*arguments: str) -> str:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from rich.progress import track
 
+from segloc.errors import ConfigError
+
 from .parallel import in_parallel
-from .report import earlier, entries, keep, reporting
+from .report import MADE_WITH, code, earlier, keep, lines, reporting, without_maker
 
 Entry = dict[str, Any]
 """A result: a line of JSON."""
+
+_OF_A_RUN = frozenset(["out", "add", "seconds", "workers", "report", "worlds", "first_seed"])
+"""Options that say what is done or kept, and change no result."""
 
 
 class Runner:
@@ -32,6 +38,8 @@ class Runner:
         Default number of worlds, one a seed.
     parallel : bool
         Add ``--workers``; the work is then a function of a module.
+    choosing : sequence of str
+        Options that choose among tasks or how results are shown, and change none of them.
     """
 
     args: argparse.Namespace
@@ -44,7 +52,9 @@ class Runner:
         first_seed: int | None = None,
         worlds: int = 1,
         parallel: bool = False,
+        choosing: Sequence[str] = (),
     ) -> None:
+        self._free = _OF_A_RUN | {*choosing}
         self.options = reporting(doc)
         add = self.options.add_argument
         add("--out", type=Path, default=Path(out), help="results; a run resumes from them")
@@ -68,9 +78,34 @@ class Runner:
         """Seeds of the worlds."""
         return range(self.args.first_seed, self.args.first_seed + self.args.worlds)
 
+    @cached_property
+    def made_with(self) -> Entry:
+        """Code and options that results depend on; those of others are not resumed."""
+        options = {key: value for key, value in vars(self.args).items() if key not in self._free}
+        return {"code": code(), **{key: str(options[key]) for key in sorted(options)}}
+
     def results(self) -> list[Entry]:
-        """Read the results: of the files to add up, or of this run and those it resumes."""
-        return entries(*self.args.add) if self.args.add else earlier(self.args.out)
+        """Read the results: of the files to add up, or of this run and those it resumes.
+
+        Raises
+        ------
+        ConfigError
+            If the files to add up are of different code or options.
+        """
+        if self.args.add:
+            found = lines(*self.args.add)
+            if any(each.get(MADE_WITH) != found[0].get(MADE_WITH) for each in found):
+                raise ConfigError("--add: the files were made by different code or options")
+        else:
+            found = earlier(self.args.out)
+            found = [each for each in found if each.get(MADE_WITH) == self.made_with]
+            if hasattr(self.args, "first_seed"):
+                found = [each for each in found if each.get("seed", self.seeds[0]) in self.seeds]
+        return without_maker(found)
+
+    def keep(self, result: Mapping[str, Any]) -> None:
+        """Add a result to the file."""
+        keep(self.args.out, {**result, MADE_WITH: self.made_with})
 
     def run(
         self,
@@ -96,7 +131,7 @@ class Runner:
             found = in_parallel(work, left, self.args.workers)
             for _, result in track(found, Path(self.args.out).stem, total=len(left)):
                 if result is not None:
-                    keep(self.args.out, result)
+                    self.keep(result)
                 if time.monotonic() > self._ends:
                     break
         return self.results()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples.plaza import Plaza, PlazaSequence
-from segloc_lab.bench import fps, front, geometric, harness, network, versions, works
+from segloc_lab.bench import fps, front, geometric, harness, network, versions, worker, works
 from segloc_lab.cli import bench as suite
 from typer.testing import CliRunner
 
@@ -149,3 +149,14 @@ def test_the_command_line_writes_a_report(tmp_path: Path, monkeypatch):
     assert all(cells[2] > 0 and "SciPy" in cells[3] for cells in table["rows"])
     with pytest.raises(ConfigError, match="never rewritten"):
         CliRunner().invoke(app, ["bench", *options], standalone_mode=False, catch_exceptions=False)
+
+
+def test_an_answer_that_faces_elsewhere_is_false() -> None:
+    for degrees, metres, expected in (
+        (3.0, 1.0, "found"),
+        (8.0, 0.0, "false"),
+        (180.0, 0.0, "false"),
+    ):
+        T = geometry.yaw_transform(np.radians(degrees), (metres, 0.0, 0.0))
+        answer = segloc.Localized(T_map_sensor=T, covariance=np.eye(6), confidence=1.0)
+        assert worker.kind_of(answer, np.eye(4)) == expected

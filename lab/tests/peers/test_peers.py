@@ -266,3 +266,22 @@ def test_confidence_is_rated_over_all_thresholds(tmp_path: Path) -> None:
     f1, auc = confidence(score(tmp_path / "answers-peer.npz", queries), np.ones(4, dtype=bool))
     assert f1 == pytest.approx(3 / 4)  # all accepted; the best two have recall 1/2
     assert auc == pytest.approx(0.25 * (1 + 1 + 3 / 4))
+
+
+def test_answers_are_of_their_points_and_maps(tmp_path: Path) -> None:
+    def clouds(x: float) -> Clouds:
+        points = np.full((6, 3), x, np.float32)
+        ends = np.array([0, 3, 6])
+        known = np.ones(2, bool)
+        return Clouds(
+            np.tile(np.eye(4), (2, 1, 1)), np.ones(2, int), known, np.array(["a"] * 2), points, ends
+        )
+
+    def queried(queries: Clouds) -> list[bool]:
+        return Answers.resume(tmp_path, "x", queries, "settings").queried.tolist()
+
+    Answers.resume(tmp_path, "x", clouds(0.0), "settings").save(tmp_path, "x", 0)
+    assert queried(clouds(0.0)) == [True, False]
+    assert queried(clouds(9.0)) == [False, False]
+    np.savez(tmp_path / "views-scan.npz", points=np.ones(3))
+    assert queried(clouds(0.0)) == [False, False]

@@ -158,7 +158,7 @@ def _matrix_product() -> Callable[[], object]:
 
 
 def _copy() -> Callable[[], object]:
-    source = np.zeros(_COPIED // 2, np.uint8)
+    source = np.ones(_COPIED // 2, np.uint8)  # zeros would be one page, read from a cache
     target = np.empty_like(source)
     return lambda: np.copyto(target, source)
 

@@ -15,6 +15,7 @@ import atexit
 import importlib
 import inspect
 import json
+import math
 import shutil
 import sys
 import tempfile
@@ -32,7 +33,7 @@ import segloc
 from segloc.descriptors import create
 
 QUERY_EVERY = 10
-TOLERANCE_M = 3.0
+TOLERANCE_M, TOLERANCE_DEG = 3.0, 5.0
 
 _KEPT_BYTES = 31 << 20
 """Once a block as large as a map's was freed, glibc keeps freed memory for the next scan."""
@@ -198,8 +199,10 @@ def kind_of(answer: Any, truth: Any) -> str:
         return "refused"
     if truth is None:
         return "false"
-    off = float(np.linalg.norm(answer.T_map_sensor[:3, 3] - truth[:3, 3]))
-    return "found" if off <= TOLERANCE_M else "false"
+    off = np.linalg.inv(truth) @ answer.T_map_sensor
+    turned = math.degrees(math.acos(np.clip((np.trace(off[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+    is_right = float(np.linalg.norm(off[:3, 3])) <= TOLERANCE_M and turned <= TOLERANCE_DEG
+    return "found" if is_right else "false"
 
 
 KINDS = ("stages", "query", "build", "align", "stream")

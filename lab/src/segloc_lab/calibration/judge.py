@@ -124,7 +124,12 @@ def _summed(answers: Answers) -> Iterator[Cell]:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "posterior.jsonl", parallel=True)
+    runner = Runner(
+        __doc__,
+        "posterior.jsonl",
+        parallel=True,
+        choosing=("beside", "quiet", "every", "first"),
+    )
     add = runner.options.add_argument
     add("worlds", type=Path, help="folder of generated worlds")
     add("--beside", type=Path, nargs="+", default=[], help="answers of others")

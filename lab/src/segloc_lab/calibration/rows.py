@@ -251,7 +251,7 @@ def run_in_worlds(
     doc: str | None, out: str, work: Callable[[World], Entry]
 ) -> tuple[Namespace, list[Entry]]:
     """Run a protocol in each world of a folder, its argument; return all arguments and results."""
-    runner = Runner(doc, out, parallel=True)
+    runner = Runner(doc, out, parallel=True, choosing=("every",))
     runner.options.add_argument("worlds", type=Path, help="folder of generated worlds")
     runner.options.add_argument("--every", type=int, default=1, help="take each Nth world")
     args = runner.parse()

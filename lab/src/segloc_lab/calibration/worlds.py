@@ -122,7 +122,7 @@ def simulated(name: str, seed: int, length_m: float = LENGTH_M) -> SimulatedWorl
 
 
 def unsharp(drive: SimulatedSequence, seed: int) -> SimulatedSequence:
-    """Add an independent error to each pose of a drive."""
+    """Add an error to each pose of a drive: that of its number, the same in all of one seed."""
     rng = np.random.default_rng([seed, 7])
     off = np.stack([np.eye(4)] * len(drive))
     off[:, :3, 3] = rng.normal(0.0, UNSHARP_M, (len(drive), 3))

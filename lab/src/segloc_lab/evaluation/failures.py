@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from segloc import geometry
 from segloc.errors import DatasetError
 from segloc.pipeline import Search
-from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_path, query_clouds
+from segloc.tools.batch import COVERAGE_RADIUS_M, distances_to_map, query_clouds
 from segloc.tools.inspect import DARK, RED, blank, legend, png
 from segloc.types import Float64, LocalCloud, Matches, Pose
 
@@ -148,7 +148,7 @@ def funnel(localizer: Localizer, query_set: QuerySet) -> Funnel:
     sequence, truths = query_set.recording, query_set.truths
     if truths is None:
         raise DatasetError(f"{sequence.name}: no true poses")
-    near = distances_to_path(truths, localizer.prior_map.trajectory) <= COVERAGE_RADIUS_M
+    near = distances_to_map(truths, localizer.prior_map) <= COVERAGE_RADIUS_M
     positions = query_set.positions[near]
     queries = query_clouds(sequence, positions, localizer.config)
     tree = cKDTree(localizer.prior_map.centroids)

@@ -23,7 +23,7 @@ from segloc.errors import SeglocError
 from segloc.system.kernels import instruction_set
 
 from ..parallel import in_parallel
-from ..report import machine, version_of
+from ..report import code, machine, version_of
 
 T = TypeVar("T")
 Task = TypeVar("Task")
@@ -94,8 +94,8 @@ class Workspace:
 
     @property
     def code(self) -> Mapping[str, str]:
-        """Fingerprints of the code that stored parts depend on; empty: of the version alone."""
-        return {}
+        """Fingerprint of the code that stored parts depend on."""
+        return {"trees": code()}
 
     def cached(
         self,

@@ -222,7 +222,8 @@ def _row(s: Score, part: Part) -> dict[str, Cell]:
     size = float(s.answers.map_bytes) / 1e6 / part.map_km if part.map_km else math.nan
     spent = ms_a_right(s, inside)
     rival, ours = rival_of(s, part), ours_of(part)
-    ratio = spent / ms_a_right(ours, inside) if ours else math.nan
+    own = ms_a_right(ours, inside) if ours else math.nan
+    ratio = spent / own if math.isfinite(own) else math.nan
 
     def false(side: Bools) -> str:
         fewer = rival is not None and (s.false & side).sum() < (rival.false & side).sum()

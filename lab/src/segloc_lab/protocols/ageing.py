@@ -227,7 +227,14 @@ def report(entries: list[Entry], weeks: int, folder: Path | None) -> None:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "ageing.jsonl", first_seed=72000, worlds=len(PLACES), parallel=True)
+    runner = Runner(
+        __doc__,
+        "ageing.jsonl",
+        first_seed=72000,
+        worlds=len(PLACES),
+        parallel=True,
+        choosing=("parts",),
+    )
     runner.options.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS)
     runner.options.add_argument("--weeks", type=int, default=WEEKS)
     args = runner.parse()

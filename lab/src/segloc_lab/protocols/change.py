@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from ..evaluation.comparison import MappedPlace, build_maps, localized, place_of
 from ..evaluation.scenario import QuerySet
 from ..padding import padded
 from ..recordings import Kept, Unposed, kept
-from ..report import Cell, Table, keep, mcnemar, publish, share
+from ..report import Cell, Table, mcnemar, publish, share
 from ..runner import Runner
 from ..simulation import (
     SCENES,
@@ -119,17 +119,20 @@ def query_results(
 def table(answers: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Cell, ...]]]:
     """Return columns and rows, one row per set and way, both directions together."""
     rows: dict[tuple[str, ...], dict[str, list[bool]]] = {}
-    false: Counter[tuple[str, ...]] = Counter()
+    false: dict[tuple[str, ...], Counter[str]] = {}
     for entry in answers:
         key = tuple(str(entry[name]) for name in ("world", "clouds", "sensor", "map", "way"))
         rows.setdefault(key, {}).setdefault(entry["method"], []).extend(entry["right"])
-        false[key] += entry["false"]
+        false.setdefault(key, Counter())[entry["method"]] += entry["false"]
     methods = tuple(dict.fromkeys(method for found in rows.values() for method in found))
     columns = ("world", "clouds", "sensor", "map segments", "by", "queries", *methods)
     if len(methods) > 1:
         columns += (f"p, {methods[0]} and the best other",)
-    cells = [(*key, *_counted(found, methods), false[key]) for key, found in rows.items()]
-    return (*columns, "false"), cells
+    columns += tuple(f"false, {method}" for method in methods) if len(methods) > 1 else ("false",)
+    return columns, [
+        (*key, *_counted(found, methods), *(false[key][method] for method in methods))
+        for key, found in rows.items()
+    ]
 
 
 def _counted(found: Mapping[str, Sequence[bool]], methods: Sequence[str]) -> tuple[Cell, ...]:
@@ -159,8 +162,15 @@ def sensor_of(name: str, columns: int = COLUMNS, beams: int | None = None) -> Sp
         raise ConfigError(f"{name} does not spin")
     if beams is None:
         return sensor
-    every = len(sensor.elevations_deg) // beams
-    return replace(sensor, elevations_deg=sensor.elevations_deg[::every])
+    count, turns = len(sensor.elevations_deg), sensor.azimuths_deg
+    if count % beams:
+        raise ConfigError(f"--beams {beams}: not every n-th of the {count} beams of {name}")
+    left = range(0, count, count // beams)
+    return replace(
+        sensor,
+        elevations_deg=tuple(sensor.elevations_deg[k] for k in left),
+        azimuths_deg=tuple(turns[k % len(turns)] for k in left) if len(turns) else turns,
+    )
 
 
 def mapped(
@@ -183,8 +193,9 @@ def mapped(
     return {way: place_of(maps, segments_alone=way == ALONE) for way in WAYS}
 
 
-def measure(args: argparse.Namespace, done: Collection[tuple[str, ...]]) -> None:
+def measure(runner: Runner) -> None:
     """Query all worlds, and store the results of each that is not done."""
+    args, done = runner.args, {_set_of(entry) for entry in runner.results()}
     conditions = Conditions(foliage=args.foliage, replaced=args.replaced)
     descriptors = {name: create(name, 1) for name in args.methods}
     sensor = sensor_of(args.sensor, args.columns, args.beams)
@@ -206,7 +217,7 @@ def measure(args: argparse.Namespace, done: Collection[tuple[str, ...]]) -> None
                 found[clouds] += query_results(ways, queries[clouds], descriptors)
         for each in left:
             for entry in found[each["clouds"]]:
-                keep(args.out, each | entry)
+                runner.keep(each | entry)
 
 
 def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
@@ -214,7 +225,7 @@ def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "change.jsonl")
+    runner = Runner(__doc__, "change.jsonl", choosing=("clouds", "kept"))
     options = runner.options
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))
@@ -233,7 +244,7 @@ def main() -> None:
     options.add_argument("--kept", type=Path, metavar="SCANS", help="folder to keep scans in")
     args = runner.parse()
     if not args.add:
-        measure(args, {_set_of(entry) for entry in runner.results()})
+        measure(runner)
     report(runner.results(), args.report)
 
 

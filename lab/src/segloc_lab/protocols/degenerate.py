@@ -58,7 +58,7 @@ def table(found: list[dict[str, Any]]) -> Table:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "degenerate.jsonl", parallel=True)
+    runner = Runner(__doc__, "degenerate.jsonl", parallel=True, choosing=("maps",))
     add = runner.options.add_argument
     add("maps", type=Path, nargs="*")
     add("--each", type=int, default=200, help="views of each kind in each map")

@@ -78,7 +78,7 @@ def report(robots: list[Entry], folder: Path | None) -> None:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "first-fix.jsonl", first_seed=73000, worlds=10)
+    runner = Runner(__doc__, "first-fix.jsonl", first_seed=73000, worlds=10, choosing=("trials",))
     runner.options.add_argument("--trials", type=int, default=20, help="in each world")
     args = runner.parse()
     tasks = itertools.product(runner.seeds, range(args.trials))

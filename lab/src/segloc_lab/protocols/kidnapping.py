@@ -663,7 +663,7 @@ def trials_of(results: Iterable[Mapping[str, Any]]) -> list[Trial]:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "kidnapping.jsonl", first_seed=4104, worlds=48)
+    runner = Runner(__doc__, "kidnapping.jsonl", first_seed=4104, worlds=48, choosing=("trials",))
     add = runner.options.add_argument
     add("--trials", type=int, default=5, help="in each world")
     add("--alike", action="store_true", help="carry them to where most is alike")

@@ -38,7 +38,7 @@ from segloc.types import Float32, Float64, Int64, Recording
 from ..kitti00 import FIRST_HALF, SECOND_HALF, keyframes, poses_of
 from ..outcomes import pose_error
 from ..recordings import Kept, kept
-from ..report import Cell, Table, keep, publish
+from ..report import Cell, Table, publish
 from ..runner import Runner
 from ..simulation import (
     SCENES,
@@ -227,7 +227,7 @@ def is_covered(stream: Stream) -> np.ndarray:
 
 
 def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
-    """Return metres until localized, from places of the map; None off the map's trajectory."""
+    """Return metres until localized, and rightly so, from places of the map; None if never."""
     if stream.starts_m == np.inf:
         return []
     travelled, found = geometry.distance_travelled(stream.truths), []
@@ -238,7 +238,12 @@ def _first_fixes(stream: Stream, covered: np.ndarray) -> list[float | None]:
         if travelled[min(last, len(travelled) - 1)] - travelled[first] < stream.give_up_m / 2:
             continue
         steps = enumerate(_along(stream, range(first, last)), first)
-        fixed = (travelled[i] for i, step in steps if step.state.status is Status.LOCALIZED)
+        fixed = (
+            travelled[i]
+            for i, step in steps
+            if step.state.status is Status.LOCALIZED
+            and right(*pose_error(step.state.T_map_base, stream.truths[i]), stream.off_m)
+        )
         at = next(fixed, None)
         found.append(None if at is None else round(float(at - travelled[first]), 1))
     return found
@@ -413,7 +418,7 @@ def samples_of(records: list[dict[str, Any]]) -> dict[str, list[Sample]]:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "streams.jsonl")
+    runner = Runner(__doc__, "streams.jsonl", choosing=("seeds", "scans"))
     add = runner.options.add_argument
     add("--sensor", choices=("hdl64e", "os1-64", "vlp16"), default="vlp16")
     add("--seeds", type=int, nargs="*", default=[5200])
@@ -426,9 +431,9 @@ def main() -> None:
     if args.minutes and not args.add:
         ends, where = time.monotonic() + args.seconds, args.scans or Path("scans")
         for sample in alone(args.sensor, args.seeds[0], args.minutes, where, ends, args.thin):
-            keep(args.out, sample)
+            runner.keep(sample)
     elif args.kitti and not args.add:
-        keep(args.out, stream_record(kitti00_stream(args.kitti)))
+        runner.keep(stream_record(kitti00_stream(args.kitti)))
     seeds = [] if args.minutes or args.kitti else args.seeds
     records = runner.run(
         lambda seed: stream_record(town_stream(args.sensor, seed, args.length, args.scans)),

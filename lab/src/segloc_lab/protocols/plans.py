@@ -256,7 +256,14 @@ def report(records: list[Record], folder: Path | None) -> None:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "plans.jsonl", first_seed=70_000, worlds=5, parallel=True)
+    runner = Runner(
+        __doc__,
+        "plans.jsonl",
+        first_seed=70_000,
+        worlds=5,
+        parallel=True,
+        choosing=("work", "maps"),
+    )
     add = runner.options.add_argument
     add("--count", type=int, default=12, help="queries of each kind and world")
     add("--work", type=Path, default=Path("plans"), help="keeps maps and scans")

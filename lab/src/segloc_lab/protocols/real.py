@@ -30,7 +30,7 @@ from .. import kitti00
 from ..outcomes import is_covered, outcome
 from ..padding import mirrored
 from ..recordings import FewerBeams, Files, Turned
-from ..report import Table, publish, reporting, share, wilson
+from ..report import Table, code, publish, reporting, require_same, share, wilson
 
 OUT, BACK = "0:74", "82:104"
 """Scans of the corridor that are mapped, and those on the way back."""
@@ -282,15 +282,19 @@ def main() -> None:
     mapped = sources(args.data)
     paths = {name: kitti00.poses_of(source) for name, source in mapped.items()}
     judge = Judge(_kept(mapped, config, args.maps), paths, config, not args.own)
+    made_with = {"code": code(), "method": args.method, "step": args.step}
     if args.out and args.out.exists():
-        judge.records = json.loads(args.out.read_text("utf-8"))
+        stored = json.loads(args.out.read_text("utf-8"))
+        require_same(args.out, made_with, stored["made_with"])
+        judge.records = stored["records"]
     done = {r["queries"] for r in judge.records}
     for chosen in queries(args.data, args.step):
         if chosen.name.startswith(args.only) and chosen.name not in done:
             judge.run(chosen)
             report([r for r in judge.records if r["queries"] == chosen.name])
             if args.out:
-                args.out.write_text(json.dumps(judge.records, indent=0), "utf-8")
+                stored = {"made_with": made_with, "records": judge.records}
+                args.out.write_text(json.dumps(stored, indent=0), "utf-8")
     table = Table(
         COLUMNS, rows(judge.records), note(judge.records, args.method, args.step, not args.own)
     )

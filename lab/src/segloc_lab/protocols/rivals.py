@@ -352,7 +352,9 @@ def report(found: list[Followed], folder: Path | None) -> None:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "rivals.jsonl", first_seed=67000, worlds=7)
+    runner = Runner(
+        __doc__, "rivals.jsonl", first_seed=67000, worlds=7, choosing=("trials", "systems")
+    )
     add = runner.options.add_argument
     add("--trials", type=int, default=1, help="in each world")
     add("--systems", nargs="+", default=list(SYSTEMS), help=", ".join(SYSTEMS))

@@ -29,7 +29,7 @@ from segloc.types import Pose
 from ..calibration.worlds import first_half
 from ..outcomes import pose_error
 from ..recordings import kept
-from ..report import Cell, Table, publish, reporting, row, share
+from ..report import Cell, Table, code, publish, reporting, require_same, row, share
 from ..simulation import (
     PLATFORMS,
     SCENES,
@@ -417,7 +417,11 @@ def main() -> None:
     options.add_argument("--only", nargs="*", default=[""], help="words in names of scenarios")
     options.add_argument("--count", type=int, default=10, help="queries a seed")
     args = options.parse_args()
-    results = json.loads(args.out.read_text()) if args.out.exists() else {}
+    made_with, results = {"code": code(), "count": args.count}, dict[str, Any]()
+    if args.out.exists():
+        stored = json.loads(args.out.read_text("utf-8"))
+        require_same(args.out, made_with, stored["made_with"])
+        results = stored["results"]
     for name, scenario in scenarios().items():
         if not any(word in name for word in args.only):
             continue
@@ -426,7 +430,8 @@ def main() -> None:
             if key not in results:
                 results[key] = list(piece(scenario, seed, args.work, args.count))
                 with replacing(args.out) as stream:
-                    stream.write(json.dumps(results, indent=1).encode())
+                    stored = {"made_with": made_with, "results": results}
+                    stream.write(json.dumps(stored, indent=1).encode())
                 print(row(*cells(key, scenario.expected, results[key]).values()), flush=True)
     report(results, args.report)
 

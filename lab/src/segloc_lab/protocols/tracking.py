@@ -62,7 +62,7 @@ def main() -> None:
         errors, localized = held(Localizer(prior_map, config), drive, args.every)
         beside = distances_to_path(poses_of(drive)[:: args.every], prior_map.trajectory)
         inside, right, false = beside <= COVERAGE_RADIUS_M, errors <= FALSE_M, errors > FALSE_M
-        found = f"{(inside & right).sum()} of {inside.sum()}"
+        found = f"{(inside & right & localized).sum()} of {inside.sum()}"
         degraded = np.isfinite(errors) & ~localized
         counts = [int(k.sum()) for s in (localized, degraded) for k in (s, s & false)]
         rows.append((mapped, driven, len(errors), found, *counts))

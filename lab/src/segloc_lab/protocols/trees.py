@@ -207,7 +207,7 @@ def cells(name: str, run: Mapping[str, Any]) -> tuple[Cell, ...]:
         share(run["found"], run["revisits"]),
         f"{run['others_found']} of {run['others']}",
         f"{run['false']} of {run['queries']} (below {100 * run['false_95'][1]:.2f} %)",
-        f"{run['ms_median']:.1f} / {run['ms_95']:.1f}",
+        " / ".join("-" if ms is None else f"{ms:.1f}" for ms in (run["ms_median"], run["ms_95"])),
         run["metres_median"] and round(run["metres_median"], 2),
     )
 

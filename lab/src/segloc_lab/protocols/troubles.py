@@ -290,7 +290,7 @@ def report(records: list[dict[str, Any]], folder: Path | None) -> None:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "troubles.jsonl", first_seed=68005, worlds=10)
+    runner = Runner(__doc__, "troubles.jsonl", first_seed=68005, worlds=10, choosing=("troubles",))
     add = runner.options.add_argument
     add("--troubles", nargs="+", choices=TROUBLES, default=list(TROUBLES))
     add("--python", type=Path, help="interpreter of an environment that has another version")

@@ -385,9 +385,10 @@ class Kept:
     produced: Mapping[str, Any]
 
     @classmethod
-    def of(cls, method: str, folder: Path, verify: bool, draws: int) -> Kept:
-        """Return the hash of the current code."""
+    def of(cls, method: str, folder: Path, data: Path, verify: bool, draws: int) -> Kept:
+        """Return the hash of the current code and data."""
         produced: Answers = {"method": fingerprint(method), "code": code(), "verified": verify}
+        produced["data"] = hashlib.sha256((data / "keyframes.tum").read_bytes()).hexdigest()[:10]
         if draws != DRAWS:
             produced["draws"] = draws
         return cls(method, folder, produced)
@@ -444,7 +445,7 @@ def answers_of(
 
     Without ``verify`` by inliers alone, which takes a third of the time.
     """
-    kept = {name: Kept.of(name, folder, verify, draws) for name in methods}
+    kept = {name: Kept.of(name, folder, data, verify, draws) for name in methods}
     missing = [each for each in kept.values() if each.read() is None]
     if missing:
         _measure(missing, data, say, workers)

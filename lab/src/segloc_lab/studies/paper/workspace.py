@@ -12,7 +12,6 @@ from segloc.errors import ConfigError
 
 from ...evaluation import workspace
 from ...evaluation.study import Study
-from ...report import code
 from ...simulation.suites import PAPER, SUITES, TestSet
 
 SCALES = ("small", "full", PAPER)
@@ -59,11 +58,6 @@ class Workspace(workspace.Workspace):
         """Return the test sets of the suite, or the requested ones."""
         tests = SUITES[self.suite]
         return tests if self.only is None else tuple(t for t in tests if t.name in self.only)
-
-    @property
-    def code(self) -> Mapping[str, str]:
-        """Hash of the package's code; parts of other code are recomputed."""
-        return {"trees": code()}
 
     def facts(self, seconds: float, fingerprints: Mapping[str, str]) -> dict[str, Any]:
         """Return the facts that repeat a study."""
