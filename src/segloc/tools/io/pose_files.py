@@ -195,7 +195,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
     12, 16             KITTI: the upper three rows of each matrix, or all four
     7                  x y z qx qy qz qw, if all quaternions have length 1
     13, 17             a time or scan number, then a matrix
-    named              a first line names x, y, z, and qx, qy, qz, qw or roll, pitch, yaw (R = Rz
+    named              a line above names x, y, z, and qx, qy, qz, qw or roll, pitch, yaw (R = Rz
                        Ry Rx; degrees if the name says so or an angle exceeds 2 pi), and perhaps a
                        time; other columns are ignored
     ================== =========================================================================
