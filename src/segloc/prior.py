@@ -141,9 +141,9 @@ class Prior:
         """
         return replace(
             self,
-            radius_m=_at_most(MAX_RADIUS_M, self.radius_m, separation.metres),
-            heading_tolerance_deg=_at_most(180.0, self.heading_tolerance_deg, separation.degrees),
-            height_tolerance_m=_at_most(MAX_RADIUS_M, self.height_tolerance_m, separation.height),
+            radius_m=_widen(self.radius_m, separation.metres, MAX_RADIUS_M),
+            heading_tolerance_deg=_widen(self.heading_tolerance_deg, separation.degrees, 180.0),
+            height_tolerance_m=_widen(self.height_tolerance_m, separation.height, MAX_RADIUS_M),
         )
 
     def distances(self, positions: Float64) -> Float64:
@@ -170,8 +170,8 @@ class Prior:
         return np.flatnonzero(flat <= self.radius_m + reach_m)
 
 
-def _at_most(most: float, value: float, more: float) -> float:
-    return max(value, min(most, value + 0.5 * more))
+def _widen(value: float, separation: float, limit: float) -> float:
+    return max(value, min(value + 0.5 * separation, limit))
 
 
 Near: TypeAlias = Prior | tuple[ArrayLike, float] | tuple[ArrayLike, float, float]

@@ -87,8 +87,18 @@ def lines(*paths: Path) -> list[dict[str, Any]]:
 
 
 def entries(*paths: Path) -> list[dict[str, Any]]:
-    """Read what runs have kept, without what it was made with."""
-    return without_maker(lines(*paths))
+    """Read what runs have kept, without what it was made with.
+
+    Raises
+    ------
+    ConfigError
+        If it was made by different code or options.
+    """
+    found = lines(*paths)
+    if any(each.get(MADE_WITH) != found[0].get(MADE_WITH) for each in found):
+        names = ", ".join(str(path) for path in paths)
+        raise ConfigError(f"{names}: made by different code or options")
+    return without_maker(found)
 
 
 def without_maker(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

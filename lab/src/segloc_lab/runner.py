@@ -11,15 +11,13 @@ from typing import Any
 
 from rich.progress import track
 
-from segloc.errors import ConfigError
-
 from .parallel import in_parallel
-from .report import MADE_WITH, code, earlier, keep, lines, reporting, without_maker
+from .report import MADE_WITH, code, earlier, entries, keep, reporting, without_maker
 
 Entry = dict[str, Any]
 """A result: a line of JSON."""
 
-_OF_A_RUN = frozenset(["out", "add", "seconds", "workers", "report", "worlds", "first_seed"])
+_OF_A_RUN = frozenset(["out", "add", "seconds", "workers", "report"])
 """Options that say what is done or kept, and change no result."""
 
 
@@ -54,7 +52,8 @@ class Runner:
         parallel: bool = False,
         choosing: Sequence[str] = (),
     ) -> None:
-        self._free = _OF_A_RUN | {*choosing}
+        seeds = () if first_seed is None else ("worlds", "first_seed")
+        self._free = _OF_A_RUN | {*choosing, *seeds}
         self.options = reporting(doc)
         add = self.options.add_argument
         add("--out", type=Path, default=Path(out), help="results; a run resumes from them")
@@ -93,14 +92,10 @@ class Runner:
             If the files to add up are of different code or options.
         """
         if self.args.add:
-            found = lines(*self.args.add)
-            if any(each.get(MADE_WITH) != found[0].get(MADE_WITH) for each in found):
-                raise ConfigError("--add: the files were made by different code or options")
-        else:
-            found = earlier(self.args.out)
-            found = [each for each in found if each.get(MADE_WITH) == self.made_with]
-            if hasattr(self.args, "first_seed"):
-                found = [each for each in found if each.get("seed", self.seeds[0]) in self.seeds]
+            return entries(*self.args.add)
+        found = [each for each in earlier(self.args.out) if each.get(MADE_WITH) == self.made_with]
+        if hasattr(self.args, "first_seed"):
+            found = [each for each in found if each.get("seed", self.seeds[0]) in self.seeds]
         return without_maker(found)
 
     def keep(self, result: Mapping[str, Any]) -> None:

@@ -69,11 +69,11 @@ def test_shifted_scan_context_undoes_a_step_aside() -> None:
 @pytest.mark.slow
 def test_contour_context_finds_places_that_are_revisited(tmp_path: Path) -> None:
     """Another drive, with cars and a tenth of the objects replaced, and a drive elsewhere."""
-    worlds = [simulated("town", seed, length_m=120.0) for seed in (8, 9)]
+    worlds = [simulated("town", seed, length_m=70.0) for seed in (8, 9)]
     groups = []
     for world, name in zip(worlds, ("all", ELSEWHERE), strict=True):
         drive = world.queries["hdl64e"]
-        at = query_positions(drive.truth, 15.0, 10.0)
+        at = query_positions(drive.truth, 20.0, 10.0)
         truths = drive.truth[at] if name == "all" else far(drive.truth[at])
         groups.append(Group(drive, at, truths, name))
     export(tmp_path, Set(lambda _: Material(worlds[0].mapped, groups)), tmp_path, 1)

@@ -85,7 +85,7 @@ class Shift:
         """Return why the shift is not known, "" if it is."""
         if self.is_known:
             return ""
-        if self.storeys:
+        if 2 * self.storeys > self.clouds:
             return (
                 f"{self.storeys} of {quantity(self.clouds, 'places')} along it look like those "
                 "above or below in the map: another storey, unless its heights are wrong"

@@ -8,9 +8,9 @@ from .model import Known as Known
 from .model import Model as Model
 from .model import Promise as Promise
 from .model import aligned_measures as aligned_measures
-from .model import differing as differing
 from .model import features_of as features_of
 from .model import shipped_model as shipped_model
+from .model import wall_differences as wall_differences
 from .model import walls_over as walls_over
 from .observation import Aligned as Aligned
 from .observation import Count as Count

@@ -10,7 +10,7 @@ from ..system.section import Section
 class VerificationConfig(Section):
     """Verification of poses.
 
-    What else it goes by are constants, under which the model was fitted.
+    All other parameters are constants, because the model was fitted with them.
     """
 
     min_confidence: float = Field(

@@ -195,12 +195,12 @@ def best_case_measures(overlap: float) -> tuple[float, ...]:
 
 def walls_over(here: Walls, elsewhere: Walls = CHANCE_WALLS) -> float:
     """Return the log-ratio of the walls that only one of two poses explains."""
-    differ = differing(here, elsewhere)
+    differ = wall_differences(here, elsewhere)
     total, either = float(differ.sum()), float(np.abs(differ).sum())
     return math.log((either + total + 2 * _WALLS_PRIOR) / (either - total + 2 * _WALLS_PRIOR))
 
 
-def differing(here: Walls, elsewhere: Walls) -> Float32:
+def wall_differences(here: Walls, elsewhere: Walls) -> Float32:
     """Return how much better each wall patch is explained here, weighed; 0 where hardly at all."""
     more, weight = here.explained - elsewhere.explained, np.minimum(here.weight, elsewhere.weight)
     differ: Float32 = np.where(np.abs(more) > _WALLS_ALIKE, weight * more, 0.0)

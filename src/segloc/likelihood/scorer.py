@@ -201,7 +201,9 @@ class Scorer:
             Poses T_map_local that are measured to the end, whatever they promise; where they are
             if what fits is another place.
         """
-        candidates = [c for c in map(self._brought, candidates) if self._allowed(c.T_map_local)]
+        candidates = [
+            c for c in map(self._within_prior, candidates) if self._allowed(c.T_map_local)
+        ]
         if candidates:
             self._candidates = _poses(candidates)
             self._inliers_there = np.array([c.inliers for c in candidates])
@@ -210,7 +212,7 @@ class Scorer:
             self._first = self._candidates[np.concatenate(first)]
         self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
 
-    def _brought(self, candidate: Candidate) -> Candidate:
+    def _within_prior(self, candidate: Candidate) -> Candidate:
         """Return a candidate, one that a prior excludes where alignment brings it."""
         if self._allowed(candidate.T_map_local):
             return candidate

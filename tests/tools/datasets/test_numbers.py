@@ -107,7 +107,7 @@ def test_poses_by_time_since_the_start_beside_numbered_scans(
 @pytest.mark.parametrize("decimals", [3, 6, 9])
 def test_key_frames_take_the_poses_of_their_own_times(decimals: int, tmp_path: Path) -> None:
     """They are farther apart than poses are interpolated over, and files round."""
-    times = [1_700_000_000_123_456_789 + 2_000_001_237 * k for k in range(20)]
+    times = [1_700_000_000_123_500_600 + 2_000_001_237 * k for k in range(20)]
     scans = numbered(tmp_path / "run", [f"{t}.npy" for t in times])
     poses = tmp_path / "poses.tum"
     texts = [f"{t // 10**9}.{t % 10**9:09}"[: 11 + decimals] for t in times]
@@ -142,6 +142,8 @@ def test_poses_are_known_by_the_numbers_of_frames(tmp_path: Path) -> None:
     head = "# frame x y z qw qx qy qz\n"
     table.write_text(head + "".join(TABLE.format(k, k) for k in (0, 4, 8)))
     assert open_sequence(scans, table).indices.tolist() == [0, 4, 8]
+    table.write_text(head + "".join(TABLE.format(k, k) for k in range(100)))
+    assert open_sequence(scans, table).poses[:, 0, 3].tolist() == list(range(9))
     for other in (range(1, 10), [7] * 9):  # counted from 1, or the number of a robot
         rows = "".join(TABLE.format(number, k) for k, number in enumerate(other))
         table.write_text(head + rows)
@@ -169,6 +171,16 @@ def test_a_coincidence_makes_no_numbers_of_times(scale: float, tmp_path: Path) -
     poses.write_text("".join(rows))
     found = open_sequence(sequence, poses)
     np.testing.assert_allclose(found.poses[:, 0, 3], np.arange(300), atol=1e-6)
+
+
+def test_poses_of_every_second_are_no_numbers_of_scans(tmp_path: Path) -> None:
+    """On a clock that started with the sensor, 1000 s before."""
+    times = [1000.05 + 0.1 * k for k in range(50)]
+    scans = numbered(tmp_path / "run", [f"{t:.6f}.npy" for t in times])
+    poses = tmp_path / "poses.tum"
+    poses.write_text("".join(LINE.format(1000 + k, 10 * k) for k in range(10)))
+    found = open_sequence(scans, poses)
+    np.testing.assert_allclose(found.poses[:, 0, 3], 10 * (np.array(times) - 1000), atol=1e-6)
 
 
 def test_a_table_beside_text_scans_is_no_scan(tmp_path: Path) -> None:

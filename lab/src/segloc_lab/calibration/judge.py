@@ -139,9 +139,10 @@ def main() -> None:
     args = runner.parse()
     work = partial(answers_in, config=Config(threads=1))
     chosen = worlds_of(args.worlds)[args.first :: args.every]
-    runner.run(work, chosen, ("world",), lambda world: [world.name])
+    own = runner.run(work, chosen, ("world",), lambda world: [world.name])
     if not args.quiet:
-        every = {path.stem: flat(entries(path)) for path in (args.out, *args.beside)}
+        every = {args.out.stem: flat(own)}
+        every |= {path.stem: flat(entries(path)) for path in args.beside}
         whole = {name: [a for a in run if a["made"] in WHOLE] for name, run in every.items()}
         by = (("kind", "By kind"), ("map", "By map"))
         publish(

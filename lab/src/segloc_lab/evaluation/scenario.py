@@ -127,7 +127,7 @@ class PairScenario:
         return {
             "pair": {key: str(value) for key, value in asdict(self.pair).items()},
             "scans": [len(part) for part in parts],
-            "files": [state_of(path) for path in (self.pair.map, self.pair.query)],
+            "files": [digest_of_files(path) for path in (self.pair.map, self.pair.query)],
             "poses": [_digest(part.poses) for part in parts],
             "truths": _digest(opened.query_sets["query"].truths),
         }
@@ -151,7 +151,7 @@ class PairScenario:
         return OpenedScenario(prior_map, None, {"query": query_set})
 
 
-def state_of(path: Path) -> str:
+def digest_of_files(path: Path) -> str:
     """Return a digest of a file, or of the files below a folder: names, sizes, times of change."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     rows = [

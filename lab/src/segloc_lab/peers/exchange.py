@@ -113,7 +113,7 @@ class Answers:
     trained : str
         What it was trained on.
     key : int
-        Identifies queries and settings.
+        Identifies queries, maps, settings and code.
     """
 
     def __init__(self, count: int, *, decides: bool = False, trained: str = "-", key: int = 0):
@@ -141,9 +141,11 @@ class Answers:
     ) -> Answers:
         """Return the answers kept of the same queries and settings; none without any."""
         form = settings + " ".join(vars(cls(0))) + _sources()
-        given = [part.tobytes() for part in (queries.poses, queries.offsets, queries.points)]
-        maps = [path.read_bytes() for path in sorted(folder.glob("views-*.npz"))]
-        key = zlib.crc32(b"".join([*given, *maps, form.encode()]))
+        key = zlib.crc32(form.encode())
+        for part in (queries.poses, queries.offsets, queries.points):
+            key = zlib.crc32(part.tobytes(), key)
+        for file in sorted(folder.glob("views-*.npz")):
+            key = zlib.crc32(file.read_bytes(), key)
         path = answers_path(folder, system)
         if path.exists() and int((kept := cls.load(path)).key) == key:
             return kept

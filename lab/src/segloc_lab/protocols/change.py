@@ -225,7 +225,7 @@ def _set_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def main() -> None:
-    runner = Runner(__doc__, "change.jsonl", choosing=("clouds", "kept"))
+    runner = Runner(__doc__, "change.jsonl", choosing=("worlds", "clouds", "kept"))
     options = runner.options
     options.add_argument("--methods", nargs="+", default=["profile"])
     options.add_argument("--worlds", nargs="+", default=list(SIZES_M), choices=list(SIZES_M))

@@ -285,7 +285,8 @@ def main() -> None:
     made_with = {"code": code(), "method": args.method, "step": args.step}
     if args.out and args.out.exists():
         stored = json.loads(args.out.read_text("utf-8"))
-        require_same(args.out, made_with, stored["made_with"])
+        known = stored.get("made_with") if isinstance(stored, dict) else None
+        require_same(args.out, made_with, known)
         judge.records = stored["records"]
     done = {r["queries"] for r in judge.records}
     for chosen in queries(args.data, args.step):

@@ -420,7 +420,8 @@ def main() -> None:
     made_with, results = {"code": code(), "count": args.count}, dict[str, Any]()
     if args.out.exists():
         stored = json.loads(args.out.read_text("utf-8"))
-        require_same(args.out, made_with, stored["made_with"])
+        known = stored.get("made_with") if isinstance(stored, dict) else None
+        require_same(args.out, made_with, known)
         results = stored["results"]
     for name, scenario in scenarios().items():
         if not any(word in name for word in args.only):

@@ -186,7 +186,12 @@ def require_torch() -> None:
 def load_train_config(path: Path | None, given: dict[str, Any]) -> TrainConfig:
     """Read a configuration file, if given, and override it with options."""
     read = {} if path is None else read_yaml(path)
-    network = {**read, **given}.get("network", "dsm")
-    values = {**PUBLISHED.get(str(network), {}), **read}
-    validate(TrainConfig, values, str(path))  # a fault of an option is not the file's
-    return validate(TrainConfig, {**values, **given}, "training")
+    if path is not None:  # a fault of an option is not the file's
+        validate(TrainConfig, {**_published(read), **read}, str(path))
+    values = {**read, **given}
+    return validate(TrainConfig, {**_published(values), **values}, "training")
+
+
+def _published(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values that a network was published with."""
+    return PUBLISHED.get(str(values.get("network", "dsm")), {})

@@ -73,7 +73,7 @@ def localize(
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
 
     options.check_every(every)
-    if (radius is not None or anywhere) and near is height is None and not gnss:
+    if (radius is not None or anywhere) and near is None and height is None and not gnss:
         raise ConfigError("--radius and --anywhere need --near, --height or --gnss")
     radius = options.RADIUS_M if radius is None else radius
     place = options.parsed_prior(near, radius, anywhere, height)

@@ -39,7 +39,7 @@ def odometry(
     from .recording import open_recording
 
     if select is not None and out is None:
-        raise ConfigError("--select needs --out: the file beside a recording is of all its scans")
+        raise ConfigError("--select needs --out: the default file holds the odometry of all scans")
     file = (
         checked_target(out, ".tum", ".txt") if out is not None else odometry_path(sequence, topic)
     )

@@ -183,7 +183,7 @@ def _absolute(
         return _refuse("point times since 1970 are rounded to 128 s in float32")
     whole = all((times * factor % 1.0 == 0.0).all() for times, _ in samples)
     if whole and any(stamp % 1.0 for _, stamp in samples):
-        return _refuse("point times are whole seconds, without their other half")
+        return _refuse("point times are whole seconds; the field with the nanoseconds is missing")
     off = max(float(np.abs(times * factor - stamp).max()) for times, stamp in samples)
     if off > max(_SAME_CLOCK_S, _MAX_SHARE * (period_s or 0.0)):
         return _refuse(f"point times are {off:.3g} s off their scans' stamps")

@@ -16,6 +16,9 @@ from ..io.trajectory import Trajectory, write_tum
 from .clocks import epoch_unit
 from .recorded import FileSource, RecordedSequence
 
+_CAPTURES = (".bag", ".db3", ".mcap", ".pcap")
+"""Suffixes of files that hold many scans."""
+
 
 def lidar_odometry(
     recording: RecordedSequence,
@@ -87,9 +90,10 @@ def kept_odometry(file: Path, recording: RecordedSequence, path: Path) -> bool:
     """Return whether a file holds odometry of these scans: same number, same times, not older."""
     if not file.is_file():
         return False
-    source, inside = recording.source, path.iterdir() if path.is_dir() else ()
-    scans = source.paths if isinstance(source, FileSource) else (path, *inside)
-    if max(scan.stat().st_mtime for scan in scans) > file.stat().st_mtime:
+    source, inside = recording.source, path.iterdir() if path.is_dir() else (path,)
+    bags = (each for each in inside if each.suffix in _CAPTURES and each.is_file())
+    scans = source.paths if isinstance(source, FileSource) else bags
+    if max((scan.stat().st_mtime for scan in scans), default=0.0) > file.stat().st_mtime:
         return False
     try:
         stamps = read_trajectory(file).stamps

@@ -73,8 +73,9 @@ class Track:
 
         Key frames are not interpolated, and files round to milliseconds.
         """
-        after = np.clip(np.searchsorted(self.keys, stamps), 0, len(self.keys) - 1)
-        low, high = self.keys[np.maximum(after - 1, 0)], self.keys[after]
+        keys = np.concatenate([[-np.inf], self.keys, [np.inf]])  # gaps before and after
+        after = np.searchsorted(keys, stamps).clip(1, len(keys) - 1)
+        low, high = keys[after - 1], keys[after]
         nearest = np.where(np.abs(low - stamps) < np.abs(high - stamps), low, high)
         most_s = np.where(high - low > LONGEST_GAP_S, _KEY_FRAME_S, _ROUNDING_S)
         return np.where(np.abs(nearest - stamps) < most_s, nearest, stamps)
@@ -112,8 +113,8 @@ def clean_track(source: str, stamps: Float64, poses: Float64) -> Track:
 def rising(stamps: Float64) -> NDArray[np.bool_]:
     """Return the most stamps (N,) of which each is later than the one before, as a mask.
 
-    One that is wrong costs itself, and a clock that was set back the shorter of the two parts. The
-    longest rising subsequence, by the least last stamp of each length.
+    The longest rising subsequence, by the least last stamp of each length: a wrong stamp costs only
+    itself. If a clock was set back, parts of both runs may remain.
     """
     if (np.diff(stamps) > 0).all():
         return np.ones(len(stamps), dtype=bool)
@@ -148,7 +149,7 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
     if not len(keys):
         raise DatasetError(f"{path}: no poses")
     if found.kind == "numbered":
-        if np.isin(keys, indices).all():
+        if np.isin(keys, indices).all() or np.isin(indices, keys).all():
             return Track(str(path), keys, poses, "numbers", note)
         other = f"numbers {keys[0]:.0f} to {keys[-1]:.0f} are not those of the scans: in order"
         note = f"{note}; {other}" if note else f"{path}: {other}"
@@ -181,7 +182,7 @@ def _time_unit(
         if not whole:
             return spaced or 1.0
         return None if counted else spaced
-    if counted:
+    if counted and np.isin(keys, indices).any():
         return None
     return unit_beside(keys, stamps) or (None if whole else 1.0)
 

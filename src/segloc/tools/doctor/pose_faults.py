@@ -199,7 +199,7 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
     """
     fits = measure_pairs(recording, config)
     if not fits and recording.poses is not None:
-        return _stuck(recording, config or LocalCloudConfig())
+        return _stuck_finding(recording, config or LocalCloudConfig())
     if len(fits) < _MIN_PAIRS:
         return []
     as_is = float(np.mean([fit.as_is for fit in fits]))
@@ -216,7 +216,7 @@ def pose_findings(recording: Recording, config: LocalCloudConfig | None = None) 
     return [replace(finding, scans=scans) for finding in _smear(fits)]
 
 
-def _stuck(recording: Recording, config: LocalCloudConfig) -> list[Finding]:
+def _stuck_finding(recording: Recording, config: LocalCloudConfig) -> list[Finding]:
     """Return the finding on poses that stay in one place while the scans do not."""
     poses, most_deg = recording.poses, most_turned_deg(recording, config)
     assert poses is not None

@@ -161,7 +161,7 @@ class _Axes:
     @classmethod
     def of(cls, known: Georeference | None, epsg: int | None, place: Place | None) -> _Axes:
         if place is not None and known is not None:
-            raise ConfigError("--at: the map is georeferenced, and written in degrees without")
+            raise ConfigError("--at: the map is georeferenced; degrees are written without it")
         if place is not None:
             return cls(
                 lambda xyz: np.column_stack([place.degrees(xyz[:, :2]), xyz[:, 2]]), _DEGREE_DIGITS

@@ -18,8 +18,8 @@ from ...likelihood import (
     Observation,
     ScoredPose,
     Walls,
-    differing,
     features_of,
+    wall_differences,
     walls_over,
 )
 from ...likelihood.model import as_by_chance, known_odds
@@ -225,7 +225,7 @@ def _walls(here: Walls, others: Sequence[Walls]) -> str:
 
 def _count_differing(here: Walls, other: Walls) -> tuple[int, int]:
     """Count the patches that fit better at one pose than at another, and those that fit worse."""
-    differ = differing(here, other)
+    differ = wall_differences(here, other)
     return int((differ > 0.0).sum()), int((differ < 0.0).sum())
 
 

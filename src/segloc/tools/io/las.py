@@ -159,7 +159,7 @@ def las_parts(path: Path, size: int) -> Iterator[Float64]:
         with _reading(data, stream, header) as reader:
             for chunk in reader.chunk_iterator(size):
                 done += len(chunk)
-                kept = _kept(chunk)
+                kept = _not_withheld(chunk)
                 steps = np.column_stack([kept[axis] for axis in "XYZ"])
                 yield steps * reader.header.scales + reader.header.offsets
         require_points(header.points, done)
@@ -262,7 +262,7 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
     times = np.empty(count) if timed else None
     done = last = 0
     for chunk in reader.chunk_iterator(_CHUNK):
-        kept = _kept(chunk)
+        kept = _not_withheld(chunk)
         rows = slice(last, last + len(kept))
         for i, axis in enumerate("XYZ"):
             points[rows, i] = kept[axis] * header.scales[i] + header.offsets[i]
@@ -274,7 +274,7 @@ def _read_points(reader: laspy.LasReader, count: int) -> tuple[Float32, Float64 
     return points[:last], times[:last] if times is not None and times[:last].any() else None
 
 
-def _kept(chunk: laspy.ScaleAwarePointRecord) -> NDArray[Any]:
+def _not_withheld(chunk: laspy.ScaleAwarePointRecord) -> NDArray[Any]:
     """Return the points that are not withheld, that is deleted (LAS 1.4 R15, section 2.6)."""
     deleted = np.asarray(chunk["withheld"], dtype=bool)
     points: NDArray[Any] = chunk.array

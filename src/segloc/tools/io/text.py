@@ -212,7 +212,7 @@ def text_parts(data: Mapped, comments: tuple[str, ...] = COMMENTS) -> Iterator[F
 
 
 def _names_above(data: Mapped, comments: tuple[str, ...], count: int) -> list[str]:
-    """Return the names of so many columns in the last comment before the first row, or none."""
+    """Return the column names in the last comment before the first row, if there are ``count``."""
     last, head = "", data[:_MAX_LINE].decode("utf-8", "replace")
     for line in map(str.strip, head.splitlines()):
         if line and not (comments and line.startswith(comments)):

@@ -78,6 +78,15 @@ def test_packets_that_change_places_stay_in_their_turn(tmp_path: Path) -> None:
     assert [len(sequence.scan(i)) for i in range(len(sequence))] == [1800 * 16] * 3
 
 
+def test_a_pause_ends_a_turn(tmp_path: Path) -> None:
+    sent = packets(4.0)
+    late = [(stamp + 5.0, data) for stamp, data in sent[97:]]  # it goes on 15 degrees before
+    sequence = open_sequence(capture(tmp_path / "drive.pcap", sent[:100] + late))
+    assert (np.diff(sequence.stamps) > 0).all()
+    spans = [sequence.scan(i).times.max() for i in range(len(sequence))]
+    assert len(spans) == 5 and max(spans) < 0.11
+
+
 def test_what_follows_damage_is_missed(tmp_path: Path) -> None:
     path = capture(tmp_path / "drive.pcap", packets(9.0))
     whole = bytearray(path.read_bytes())

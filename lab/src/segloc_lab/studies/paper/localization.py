@@ -17,7 +17,7 @@ from segloc.types import Float64
 
 from ... import kitti00
 from ...evaluation.comparison_study import compare
-from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, state_of
+from ...evaluation.scenario import MAX_GAP_M, OpenedScenario, QuerySet, Scenario, digest_of_files
 from ...evaluation.study import Study
 from ...simulation.suites import SIX, TestSet
 from ...swathes import Swathes
@@ -120,7 +120,7 @@ class KittiScenario:
         for folder in folders:
             if not folder.is_dir():
                 raise DatasetError(f"{folder}: no such folder; --kitti needs keyframes and scans")
-        files = state_of(self.data)
+        files = digest_of_files(self.data)
         return {"scenario": self.name, "files": files, "scale": self.scale, "seed": self.seed}
 
     def open(self) -> OpenedScenario:

@@ -42,7 +42,8 @@ def find(path: Path, topic: str | None) -> Found:
     else:
         stamps = times[indices]
         if np.isnan(stamps).any():
-            raise DatasetError(f"{path}: timestamps.txt has blank lines for scans that are there")
+            first = indices[np.isnan(stamps)][0]
+            raise DatasetError(f"{path}: timestamps.txt has no time for scan {first}")
     return Found(
         name=path.resolve().name,
         format=NAME,

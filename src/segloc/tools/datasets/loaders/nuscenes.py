@@ -56,7 +56,8 @@ def find(path: Path, topic: str | None) -> Found:
     folder, scene = scenes[name]
     try:
         listed = _sweeps(folder, scene)
-        sweeps = [sweep for sweep in listed if (path / sweep["filename"]).is_file()]
+        there = [k for k, sweep in enumerate(listed) if (path / sweep["filename"]).is_file()]
+        sweeps = [listed[k] for k in there]
         if not sweeps:
             raise DatasetError(f"{path}: none of the {len(listed)} sweeps of {name} is there")
         stamps = np.array([int(sweep["timestamp"]) * 1e-6 for sweep in sweeps])
@@ -69,7 +70,7 @@ def find(path: Path, topic: str | None) -> Found:
         name=name,
         format=NAME,
         source=FileSource(files, parse_nuscenes),
-        indices=np.arange(len(files)),
+        indices=np.array(there, dtype=np.int64),
         stamps=stamps,
         own_track=lambda: clean_track("ego_pose", stamps, _poses(folder, sweeps)),
         topic=name,

@@ -33,6 +33,7 @@ block of the VLP-16 holds two of 16 lasers, 111 us."""
 _TURN, _LATE = 36000, 2000
 """A turn, and how far a packet may be behind the one before: the network exchanged them [0.01 deg].
 """
+_PAUSE_S = 0.25  # longer than a turn; one ends there
 _MIN_PACKETS = 8  # per turn; turns at the ends of a capture have fewer
 
 
@@ -53,7 +54,7 @@ def find(path: Path, topic: str | None) -> Found:
         raise DatasetError(f"{path}: no model or sensor {topic!r}; supported: {known}")
     own = choose(path, list(senders), None if model else topic) if senders else ""
     stamps, places, azimuths = senders.get(own, _NOTHING)
-    order, turns = _turns_of(azimuths)
+    order, turns = _turns_of(azimuths, stamps)
     stamps, places = stamps[order], places[order]
     if not len(turns):
         raise DatasetError(
@@ -73,13 +74,15 @@ def find(path: Path, topic: str | None) -> Found:
     )
 
 
-def _turns_of(azimuths: Int64) -> tuple[Int64, Int64]:
+def _turns_of(azimuths: Int64, stamps: Float64) -> tuple[Int64, Int64]:
     """Return the order of packets by how far the sensor turned, and the turns.
 
     Each turn is its first packet of that order and the one after its last, (T, 2).
     """
     steps = np.diff(azimuths, prepend=azimuths[:1]) % _TURN
-    turned = azimuths[:1] + np.cumsum(np.where(steps > _TURN - _LATE, steps - _TURN, steps))
+    steps = np.where(steps > _TURN - _LATE, steps - _TURN, steps)
+    paused = np.diff(stamps, prepend=stamps[:1]) > _PAUSE_S
+    turned = azimuths[:1] + np.cumsum(steps + 2 * _TURN * paused)
     order = np.argsort(turned, kind="stable")
     starts = np.flatnonzero(np.diff(turned[order] // _TURN)) + 1
     bounds = np.concatenate([[0], starts, [len(azimuths)]])

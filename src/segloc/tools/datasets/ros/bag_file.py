@@ -31,8 +31,19 @@ def open_bag(paths: tuple[Path, ...]) -> Iterator[BagReader]:
     """
     with faults_of(paths[0]):
         _check_magic(paths)
-    with faults_of(_first_faulty(paths)), _reader(paths) as reader:
-        yield reader
+    reader = _reader(paths)
+    try:
+        reader.open()
+    except MissingDependency:
+        raise
+    except Exception:  # of any library behind rosbags
+        with faults_of(_first_faulty(paths)):
+            raise
+    with faults_of(paths[0]):
+        try:
+            yield reader
+        finally:
+            reader.close()
 
 
 def _first_faulty(paths: tuple[Path, ...]) -> Path:
