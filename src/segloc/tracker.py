@@ -406,9 +406,13 @@ class Tracker:
         self._restart_window()
 
     def forget(self) -> None:
-        """Drop all hypotheses, keep the scans, and search at once."""
+        """Drop all hypotheses and the scans, of which some may be of another place; search at once.
+
+        A robot is told so after it was carried.
+        """
         self.belief.clear()
-        self._searched, self._epoch = -math.inf, self._epoch + 1
+        self._searched = -math.inf
+        self._restart_window()
 
     def _restart_window(self) -> None:
         """Drop the accumulated scans; searches use later ones only."""

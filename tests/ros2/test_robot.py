@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,6 +27,7 @@ from samples.usage import resident_mb
 from segloc_ros.core.clicks import Click
 from segloc_ros.core.diagnosis import Level, StateStatus, TfState, diagnose, robot_state
 from segloc_ros.core.frames import Transform
+from segloc_ros.core.maps import MapFile
 from segloc_ros.core.replies import (
     CandidatesReply,
     InitialPose,
@@ -184,11 +186,11 @@ def test_a_lost_robot_drops_or_keeps_map_to_odom_and_its_state_tells_which(
     localizer: Localizer, plaza: Plaza, kept: str
 ) -> None:
     listener = Listener.mounted(localizer, tf_when_lost=kept, mode="tf")
-    listener.walk(plaza, 3)
+    T_odom_base = geometry.inverse(T_MAP_ODOM) @ listener.walk(plaza, 3)
     assert robot_state(listener.robot, True).map_to_odom is TfState.CURRENT
     listener.robot.relocalize()
     listener.clear()
-    listener.odometry(103.5, np.eye(4))
+    listener.odometry(103.5, T_odom_base)
     sent = [reply.transform.T_parent_child for reply in listener.of_kind(MapToOdom)]
     state, told = robot_state(listener.robot, True), diagnose(listener.robot)
     assert state.status is StateStatus.LOST and not state.localized
@@ -198,7 +200,7 @@ def test_a_lost_robot_drops_or_keeps_map_to_odom_and_its_state_tells_which(
         assert state.map_to_odom is TfState.KEPT and "map -> odom is kept" in told.message
         listener.robot.use(localizer)  # another frame
     listener.clear()
-    listener.odometry(103.7, np.eye(4))
+    listener.odometry(103.7, T_odom_base)
     assert not listener.of_kind(MapToOdom)
     assert robot_state(listener.robot, True).map_to_odom is TfState.NONE
 
@@ -770,3 +772,132 @@ def test_a_click_is_used_for_some_seconds_by_any_clock() -> None:
     trigger.wake(Prior((0.0, 0.0), 10.0))
     assert trigger.near(1000.0) is not None and trigger.near(1004.0) is not None
     assert trigger.near(1.0) is None and trigger.near(1004.0) is None
+
+
+# --- in the field ---------------------------------------------------------------------------------
+
+
+def at(x: float, y: float, yaw: float = 0.0) -> Pose:
+    """T_map_base on the plaza."""
+    return geometry.yaw_transform(yaw, (x, y, 1.8)) @ geometry.inverse(MOUNT)
+
+
+def by_odometry(T_map_base: Pose) -> Pose:
+    return geometry.inverse(T_MAP_ODOM) @ T_map_base
+
+
+def seen(plaza: Plaza, T_map_base: Pose, seed: int = 0) -> Any:
+    return plaza.scan(T_map_base @ MOUNT, posed=False, seed=seed).points
+
+
+def test_odometry_that_restarts_after_an_outage_jumps(localizer: Localizer, plaza: Plaza) -> None:
+    listener, stamp = Listener.mounted(localizer, trigger="until_localized"), 100.0
+    T_first = geometry.yaw_transform(0.0, (-42.0, 1.0, 0.0))
+    for k in range(40):
+        T = at(-12 + 0.1 * k, 1)
+        listener.odometry(stamp, geometry.inverse(T_first) @ T)
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    T_restart, stamp = T, stamp + 1.0
+    for k in range(10):
+        T = at(-8 + 0.1 * k, 1)
+        listener.odometry(stamp, geometry.inverse(T_restart) @ T)
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    assert listener.robot.jumps == 1
+    T_map_odom = listener.of_kind(MapToOdom)[-1].transform.T_parent_child
+    assert off_m(T_map_odom @ geometry.inverse(T_restart) @ T, T) < 0.5
+
+
+def test_a_robot_that_was_carried_is_found_by_what_it_sees_now(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(6):
+        before, after = (at(*rng.uniform(-12, 12, 2), rng.uniform(0, 6)) for _ in "ab")
+        listener = Listener.mounted(
+            localizer, odometry="none", mode="initialpose", trigger="until_localized"
+        )
+        for k in range(5):
+            listener.cloud(100 + k * 0.1, seen(plaza, before, k))
+        listener.clear()
+        fixes = listener.robot.relocalize()
+        for k in range(10):
+            listener.cloud(200 + k * 0.1, seen(plaza, after, k))
+            if listener.robot.fixes > fixes:
+                break
+        assert listener.robot.fixes > fixes and listener.off(after) < 0.5
+
+
+def test_a_robot_whose_wheels_slip_is_localized_again(localizer: Localizer, plaza: Plaza) -> None:
+    listener, stamp = Listener.mounted(localizer, mode="tf"), 100.0
+    for k in range(40):
+        T = at(-12 + 0.2 * k, 1)
+        listener.odometry(stamp, by_odometry(T))
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    slipped = T.copy()
+    for k in range(40):
+        slipped = slipped.copy()
+        slipped[0, 3] += 0.1
+        listener.odometry(stamp, by_odometry(slipped))
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    listener.clear()
+    fixes = listener.robot.relocalize()
+    for k in range(30):
+        listener.odometry(stamp, by_odometry(slipped))
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    assert listener.robot.fixes > fixes and listener.of_kind(MapToOdom)
+    assert diagnose(listener.robot).level is Level.OK
+
+
+def test_a_map_that_was_away_for_a_moment_is_the_same(localizer: Localizer, tmp_path: Path) -> None:
+    path, aside = tmp_path / "site.segmap", tmp_path / "aside"
+    localizer.prior_map.save(path)
+    maps = MapFile(str(path), 1)
+    assert maps.newer() is not None
+    path.rename(aside)
+    assert maps.newer() is None and "no map" in maps.fault
+    aside.rename(path)
+    assert maps.newer() is None and maps.fault == ""
+    path.write_bytes(b"damaged")
+    assert maps.newer() is None and (fault := maps.fault)
+    path.rename(aside)
+    maps.newer()
+    aside.rename(path)
+    assert maps.newer() is None and maps.fault == fault
+
+
+def test_a_pose_file_that_cannot_be_had_is_noted(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.mounted(localizer, pose_file=f"/tmp/{'x' * 300}")
+    listener.walk(plaza, 3)
+    assert listener.of_kind(PoseReply)
+
+
+def test_poses_go_on_when_a_bag_is_looped(localizer: Localizer, plaza: Plaza) -> None:
+    listener = Listener.mounted(localizer, silent_s=15.0)
+    for _ in range(3):
+        listener.clear()
+        for k in range(30):
+            T, stamp = at(-12 + 0.2 * k, 1), 100.0 + 0.2 * k
+            listener.odometry(stamp, by_odometry(T))
+            listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        assert len(listener.of_kind(PoseReply)) > 20
+
+
+def test_odometry_that_ends_at_rest_is_named(localizer: Localizer, plaza: Plaza) -> None:
+    listener, stamp = Listener.mounted(localizer, trigger="until_localized"), 100.0
+    for k in range(30):
+        T = at(-12 + 0.1 * k, 1)
+        listener.odometry(stamp, by_odometry(T))
+        listener.cloud(stamp + 0.01, seen(plaza, T, k))
+        stamp += 0.1
+    assert diagnose(listener.robot).level is Level.OK
+    for k in range(60):
+        listener.cloud(stamp, seen(plaza, T, k))
+        stamp += 0.1
+    found = diagnose(listener.robot)
+    assert found.level is Level.WARN and "no odometry at the time of the scan" in found.message
+    assert robot_state(listener.robot, True).map_to_odom is TfState.NONE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..tracker import QueryRequest, TrackerConfig
 from ..tracking.belief import Status, View
 from .config import LiveConfig
-from .core import LiveCore, State
+from .core import LiveCore, State, StateReason
 from .kept_pose import PoseKeeper
 from .lidar_odometry import LidarOdometry
 from .localizer import LiveLocalizer
@@ -22,6 +22,7 @@ __all__ = [
     "Replay",
     "Shell",
     "State",
+    "StateReason",
     "Status",
     "TrackerConfig",
     "View",

@@ -289,7 +289,7 @@ class LiveCore:
         self._asked_at = -math.inf
 
     def forget(self) -> State:
-        """Forget the pose but keep the scans; the next scan triggers a query."""
+        """Forget the pose and the scans; the next scan triggers a query."""
         self.tracker.forget()
         self._due = None
         self.hurry()

@@ -34,8 +34,8 @@ class KeptPose:
     sigma_m: float
 
     @classmethod
-    def load(cls, path: Path) -> KeptPose:
-        """Read a pose file; raise SeglocError, which names the fault, if it cannot be."""
+    def load(cls, path: Path) -> KeptPose | None:
+        """Read a pose file, if there is one; raise SeglocError, which names its fault."""
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             if values["version"] != _VERSION:
@@ -45,6 +45,8 @@ class KeptPose:
             if not (math.isfinite(stamp) and math.isfinite(sigma)):
                 raise ValueError("a number that is not finite")
             return cls(str(values["map_id"]), stamp, poses[0], poses[1], sigma)
+        except FileNotFoundError:
+            return None
         except OSError as error:
             raise SeglocError(f"{path}: {error.strerror}") from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -173,7 +175,7 @@ class PoseKeeper:
 
     def _recall(self, stamp: float) -> KeptPose | None:
         try:
-            kept = KeptPose.load(self.path) if self.path.exists() else None
+            kept = KeptPose.load(self.path)
         except SeglocError as error:
             self._note_unused(str(error))
             return None

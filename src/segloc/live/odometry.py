@@ -86,12 +86,17 @@ class Odometry:
         return jump
 
     def _jump(self, before: Pose, after: Pose, seconds: float) -> Jump | None:
-        """Detect a jump; with a new clock, after 0 s, only the step counts, not the speed."""
+        """Detect a jump; with a new clock, after 0 s, only the step counts, not the speed.
+
+        After a gap, odometry that is nearer to its origin than to its last pose has restarted.
+        """
         config, step = self._config, geometry.inverse(before) @ after
         metres = float(np.linalg.norm(step[:3, 3]))
         degrees = math.degrees(geometry.rotation_angle(step))
         far = metres > max(config.jump_m, config.max_speed_mps * seconds)
         turned = degrees > max(config.jump_deg, config.max_turn_dps * seconds)
+        restarted = seconds > config.max_gap_s and metres > float(np.linalg.norm(after[:3, 3]))
+        far = far or (restarted and metres > config.jump_m)
         if not (far or turned):
             return None
         size = f"{metres:.1f} m" if far else f"{degrees:.0f} degrees"

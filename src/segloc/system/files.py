@@ -96,13 +96,17 @@ def checked_target(path: Path, *suffixes: str) -> Path:
         must not be written.
     """
     target = Path(os.path.realpath(path))  # keep links
+    try:
+        exists = target.exists()
+    except OSError as error:  # such as of a name that is too long
+        raise SeglocError(f"{path}: cannot be written: {_reason(error)}") from error
     if target.is_dir():
         raise SeglocError(f"{path}: cannot be written: is a directory")
-    if target.exists() and not target.is_file():
+    if exists and not target.is_file():
         raise SeglocError(f"{path}: cannot be written: is not a regular file")
     if not target.parent.is_dir():
         raise SeglocError(f"{path}: cannot be written: there is no folder {target.parent}")
-    if suffixes and target.exists() and target.suffix.lower() not in suffixes:
+    if suffixes and exists and target.suffix.lower() not in suffixes:
         raise SeglocError(
             f"{path}: exists, and is no {suffixes[0]} file by its name: choose another name, or "
             "remove it"

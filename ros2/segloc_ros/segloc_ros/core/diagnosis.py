@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from segloc.live import Status
+from segloc.live import StateReason, Status
 
 from .robot import Robot
 
@@ -78,7 +78,8 @@ def robot_state(robot: Robot, active: bool) -> RobotState:
     status, map_to_odom = StateStatus.LOST, TfState.NONE
     if current is not None:
         status = StateStatus[current.status.name]
-    if robot.settings.broadcasts_tf and robot.T_map_odom is not None:
+    is_given = robot.T_map_odom is not None and not robot.lacks_odometry
+    if robot.settings.broadcasts_tf and is_given:
         map_to_odom = TfState.CURRENT
     elif robot.keeps_tf:
         map_to_odom = TfState.KEPT
@@ -149,12 +150,16 @@ def _reason(robot: Robot) -> str:
     state = robot.pose_state
     if state is None:
         return "at rest: call ~/relocalize" if robot.trigger.resting else "no data received yet"
+    if robot.trigger.resting and robot.lacks_odometry:
+        return StateReason.NO_ODOMETRY.value
     return state.reason if state.localized else robot.hint or state.reason
 
 
 def _state(robot: Robot) -> tuple[Level, str]:
     state, reason = robot.pose_state, _reason(robot)
     if robot.trigger.resting:
+        if state is not None and robot.lacks_odometry:
+            return Level.WARN, f"localized, at rest: {reason}"
         return Level.OK, reason if state is None else "localized, at rest"
     if state is None:
         return Level.WARN, f"lost: {reason}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,15 @@ from segloc.robot import Float32, map_config
 from segloc.tiles import INDEX, holds_tiles, localizer_in, open_map
 
 from .cloud_map import Note, cloud_signature, holds_cloud, is_url, map_of_cloud
+
+_Signature = tuple[int, int, int]
+
+
+class _Seen(NamedTuple):
+    """A file that was read, by what changes when it is replaced, and its fault."""
+
+    signature: _Signature
+    fault: str
 
 
 class MapFile:
@@ -38,7 +48,7 @@ class MapFile:
         self.progress = self.fault = self.request_fault = ""
         self.note: Note = lambda remark: None
         self.on_progress: Callable[[], None] = lambda: None
-        self._seen: tuple[int, int, int] | None = None
+        self._seen: _Seen | None = None
 
     @property
     def missing(self) -> str:
@@ -48,23 +58,27 @@ class MapFile:
     def newer(self) -> Localizer | None:
         """Return a localizer if the map is new or has changed; None otherwise.
 
-        Files are replaced whole. One that cannot be read is tried again once it has changed.
+        Files are replaced whole. One that cannot be read is tried again once it has changed; one
+        that was away and is there again has not.
         """
-        seen, self._seen = self._seen, None
+        signature: _Signature | None = None
         try:
             if not self.path:
                 raise SeglocError(
                     "set the parameter map to a .segmap, a point cloud, a folder of tiles or its "
                     "URL"
                 )
-            self._seen = _signature(self.path)
-            if self._seen == seen:
+            signature = _signature(self.path)
+            if self._seen is not None and signature == self._seen.signature:
+                self.fault = self._seen.fault
                 return None
             localizer = self._opened(self.path)
         except (SeglocError, OSError) as error:
             self.fault = f"no map: {_named(self.path, error)}"
+            if signature is not None:
+                self._seen = _Seen(signature, self.fault)
             return None
-        self.fault = ""
+        self._seen, self.fault = _Seen(signature, ""), ""
         return localizer
 
     def switch(self, path: str) -> Localizer:
@@ -78,7 +92,7 @@ class MapFile:
         except (SeglocError, OSError) as error:
             self.request_fault = _named(path, error)
             raise SeglocError(self.request_fault) from error
-        self.path, self._seen, self.fault, self.request_fault = path, signature, "", ""
+        self.path, self._seen, self.fault, self.request_fault = path, _Seen(signature, ""), "", ""
         return localizer
 
     def _opened(self, path: str) -> Localizer:
@@ -108,7 +122,7 @@ def _named(path: str, error: Exception) -> str:
     return f"{path}: {error.strerror}" if isinstance(error, OSError) else str(error)
 
 
-def _signature(path: str) -> tuple[int, int, int]:
+def _signature(path: str) -> _Signature:
     """What changes whenever a map is replaced; a URL is not watched."""
     if is_url(path):
         return (0, 0, 0)

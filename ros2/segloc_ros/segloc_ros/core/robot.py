@@ -134,6 +134,11 @@ class Robot:
         return self._odometry[-1][0] if self._odometry else 0.0
 
     @property
+    def lacks_odometry(self) -> bool:
+        """Whether odometry has ended while clouds go on."""
+        return self._lidar[1] - self.stamp > self._live.silent_s
+
+    @property
     def cloud_age_s(self) -> float | None:
         """Time since the newest cloud arrived [s]; None before the first."""
         return None if self._arrived is None else time.monotonic() - self._arrived
@@ -592,6 +597,8 @@ class Robot:
 
     def _replies_of(self, state: State) -> list[Reply]:
         replies: list[Reply] = []
+        if state.answered is None and self._posed_at - state.stamp > self._live.clock_jump_s:
+            self._posed_at = -np.inf  # of another clock
         # Once a stamp: a query that corrects a pose corrects that of the next cloud.
         is_new = not 0.0 <= self._posed_at - state.stamp <= self._same_clock_s
         if is_new and (pose := self._published(state)) is not None:

@@ -27,7 +27,8 @@ class StillClouds:
     """Compares clouds with earlier ones, unmoved and moved by the odometry.
 
     Vertical structure is compared, in cells seen from above: a flat floor looks the same from
-    everywhere. Two comparisons in a row decide, over 2 m or more: one alone may be a jump.
+    everywhere. Two comparisons in a row decide, over 2 m or more: one alone may be a jump. Clouds
+    that have moved with the robot do so for good: later it is the wheels that slip.
 
     Attributes
     ----------
@@ -38,7 +39,7 @@ class StillClouds:
     def __init__(self) -> None:
         self.still_m = 0.0
         self._before: tuple[Pose, Float64, Int64] | None = None
-        self._metres, self._votes = 0.0, 0
+        self._metres, self._votes, self._proven = 0.0, 0, 0
 
     def add(self, points: Float32, T_odom_lidar: Pose) -> None:
         """Take the points (N, 3) of a cloud and the pose of its frame by the odometry."""
@@ -57,7 +58,8 @@ class StillClouds:
         self._before = T_odom_lidar, centre, _upright_cells(now - centre)
 
     def _compare(self, still: float, moved: float, metres: float) -> None:
-        if moved > still:
+        self._proven += moved > _MIN_STILL and still < _MAX_MOVED * moved
+        if moved > still or self._proven >= _DECIDED:
             self._metres, self._votes, self.still_m = 0.0, 0, 0.0
         elif still > _MIN_STILL and moved < _MAX_MOVED * still:
             self._metres, self._votes = self._metres + metres, self._votes + 1

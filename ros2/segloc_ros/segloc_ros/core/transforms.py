@@ -223,7 +223,12 @@ class TransformTree:
             return None
         if kept[-1][0] == stamp:
             return kept[-1][1]
-        stamps, poses = zip(*kept, strict=True)
+        later = list[tuple[float, Pose]]()
+        for entry in reversed(kept):  # most are asked for near the newest
+            later.append(entry)
+            if entry[0] <= stamp:
+                break
+        stamps, poses = zip(*later[:-3:-1], strict=True)
         T = interpolated(np.array(stamps), np.stack(poses), [stamp])[0]
         return T if np.isfinite(T).all() else None
 
