@@ -72,6 +72,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r"(segloc localize sample/tuesday .*)", r"\1 --select :4"),
     (r"(segloc evaluate localization .*)", r"\1 --methods geo --workers 1 --every 4"),
     (r"(segloc live .*)--rate 1 ", r"\1--rate 20 "),
+    (r"(segloc odometry drive.bag)$", r"\1 --out drive.bag.odometry.tum"),
     (r"(segloc odometry drive.bag)", r"\1 --select :1"),
     (r"(segloc explain .*)--select 412", r"\1--select 4"),
     (r"survey.laz|tuesday/0412.pcd", "scan.pcd"),
