@@ -151,7 +151,7 @@ def _reason(robot: Robot) -> str:
     if state is None:
         return "at rest: call ~/relocalize" if robot.trigger.resting else "no data received yet"
     if robot.trigger.resting and robot.lacks_odometry:
-        return StateReason.NO_ODOMETRY.value
+        return str(StateReason.NO_ODOMETRY)
     return state.reason if state.localized else robot.hint or state.reason
 
 
