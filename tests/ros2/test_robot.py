@@ -41,6 +41,7 @@ from segloc_ros.core.trigger import Trigger
 from segloc import ConfigError, InvalidScan, Localizer, Prior, geometry
 from segloc.frontend.mounting import rotation
 from segloc.map.georeference import KEY, Georeference
+from segloc.tiles import cut_tiles
 from segloc.types import Pose
 
 HERE = Georeference(25832, (691_600.25, 5_336_000.5, 520.0))
@@ -868,6 +869,17 @@ def test_a_map_that_was_away_for_a_moment_is_the_same(localizer: Localizer, tmp_
     maps.newer()
     aside.rename(path)
     assert maps.newer() is None and maps.fault == fault
+
+
+def test_a_url_is_tried_until_it_can_be_read(localizer: Localizer) -> None:
+    pytest.importorskip("fsspec")
+    url = "memory://segloc-robot/tiles"
+    maps = MapFile(url, 1)
+    for _ in range(2):
+        assert maps.newer() is None and url in maps.fault
+    cut_tiles(localizer.prior_map, url)
+    assert maps.newer() is not None and maps.fault == ""
+    assert maps.newer() is None
 
 
 def test_a_pose_file_that_cannot_be_had_is_noted(localizer: Localizer, plaza: Plaza) -> None:

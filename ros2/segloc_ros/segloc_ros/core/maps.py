@@ -59,7 +59,8 @@ class MapFile:
         """Return a localizer if the map is new or has changed; None otherwise.
 
         Files are replaced whole. One that cannot be read is tried again once it has changed; one
-        that was away and is there again has not.
+        that was away and is there again has not. A URL is tried until it can be read: the network
+        may come up later than the robot.
         """
         signature: _Signature | None = None
         try:
@@ -71,7 +72,8 @@ class MapFile:
             signature = _signature(self.path)
             if self._seen is not None and signature == self._seen.signature:
                 self.fault = self._seen.fault
-                return None
+                if not (self.fault and is_url(self.path)):
+                    return None
             localizer = self._opened(self.path)
         except (SeglocError, OSError) as error:
             self.fault = f"no map: {_named(self.path, error)}"
