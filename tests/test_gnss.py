@@ -119,7 +119,7 @@ def test_a_query_has_the_nearest_fix_in_time() -> None:
     assert gnss_priors(fixes_at([[0, 0]], [1.0], 9e9), HERE, np.array([1.0]), 25.0) == [None]
     lost = Fixes("/fix", np.ones(1), np.array([[11.0, 95.0, 0.0]]), np.ones(1))
     assert gnss_priors(lost, HERE, np.ones(1), 25.0) == [None]
-    (wide,) = gnss_priors(fixes, HERE, np.array([100.0]), 2000.0)  # as large as is asked for
+    (wide,) = gnss_priors(fixes, HERE, np.array([100.0]), 2000.0)  # all of the given radius
     assert wide is not None and wide.radius_m == pytest.approx(2006.0)
     with pytest.raises(ConfigError, match="the radius must be above 0"):
         gnss_priors(fixes, HERE, stamps, -2.0)

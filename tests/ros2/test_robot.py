@@ -791,23 +791,27 @@ def seen(plaza: Plaza, T_map_base: Pose, seed: int = 0) -> Any:
     return plaza.scan(T_map_base @ MOUNT, posed=False, seed=seed).points
 
 
+def drive(
+    listener: Listener, plaza: Plaza, way: list[Pose], odometry: list[Pose], stamp: float
+) -> float:
+    """Give odometry and a cloud at 10 Hz along T_map_base; return the stamp after it."""
+    for k, (T_map_base, T_odom_base) in enumerate(zip(way, odometry, strict=True)):
+        listener.odometry(stamp, T_odom_base)
+        listener.cloud(stamp + 0.01, seen(plaza, T_map_base, k))
+        stamp += 0.1
+    return stamp
+
+
 def test_odometry_that_restarts_after_an_outage_jumps(localizer: Localizer, plaza: Plaza) -> None:
-    listener, stamp = Listener.mounted(localizer, trigger="until_localized"), 100.0
-    T_first = geometry.yaw_transform(0.0, (-42.0, 1.0, 0.0))
-    for k in range(40):
-        T = at(-12 + 0.1 * k, 1)
-        listener.odometry(stamp, geometry.inverse(T_first) @ T)
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
-    T_restart, stamp = T, stamp + 1.0
-    for k in range(10):
-        T = at(-8 + 0.1 * k, 1)
-        listener.odometry(stamp, geometry.inverse(T_restart) @ T)
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
+    listener = Listener.mounted(localizer, trigger="until_localized")
+    before, after = ([at(x + 0.1 * k, 1) for k in range(n)] for x, n in ((-12, 40), (-8, 10)))
+    T_odom_map = geometry.inverse(geometry.yaw_transform(0.0, (-42.0, 1.0, 0.0)))
+    stamp = drive(listener, plaza, before, [T_odom_map @ T for T in before], 100.0)
+    T_odom_map = geometry.inverse(before[-1])
+    drive(listener, plaza, after, [T_odom_map @ T for T in after], stamp + 1.0)
     assert listener.robot.jumps == 1
     T_map_odom = listener.of_kind(MapToOdom)[-1].transform.T_parent_child
-    assert off_m(T_map_odom @ geometry.inverse(T_restart) @ T, T) < 0.5
+    assert off_m(T_map_odom @ T_odom_map @ after[-1], after[-1]) < 0.5
 
 
 def test_a_robot_that_was_carried_is_found_by_what_it_sees_now(
@@ -831,25 +835,17 @@ def test_a_robot_that_was_carried_is_found_by_what_it_sees_now(
 
 
 def test_a_robot_whose_wheels_slip_is_localized_again(localizer: Localizer, plaza: Plaza) -> None:
-    listener, stamp = Listener.mounted(localizer, mode="tf"), 100.0
-    for k in range(40):
-        T = at(-12 + 0.2 * k, 1)
-        listener.odometry(stamp, by_odometry(T))
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
-    slipped = T.copy()
-    for k in range(40):
-        slipped = slipped.copy()
-        slipped[0, 3] += 0.1
-        listener.odometry(stamp, by_odometry(slipped))
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
+    listener = Listener.mounted(localizer, mode="tf")
+    way = [at(-12 + 0.2 * k, 1) for k in range(40)]
+    stamp = drive(listener, plaza, way, [by_odometry(T) for T in way], 100.0)
+    slipped = [
+        by_odometry(geometry.yaw_transform(0.0, (0.1 * k, 0.0, 0.0)) @ way[-1])
+        for k in range(1, 41)
+    ]
+    stamp = drive(listener, plaza, 40 * way[-1:], slipped, stamp)
     listener.clear()
     fixes = listener.robot.relocalize()
-    for k in range(30):
-        listener.odometry(stamp, by_odometry(slipped))
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
+    drive(listener, plaza, 30 * way[-1:], 30 * slipped[-1:], stamp)
     assert listener.robot.fixes > fixes and listener.of_kind(MapToOdom)
     assert diagnose(listener.robot).level is Level.OK
 
@@ -900,16 +896,12 @@ def test_poses_go_on_when_a_bag_is_looped(localizer: Localizer, plaza: Plaza) ->
 
 
 def test_odometry_that_ends_at_rest_is_named(localizer: Localizer, plaza: Plaza) -> None:
-    listener, stamp = Listener.mounted(localizer, trigger="until_localized"), 100.0
-    for k in range(30):
-        T = at(-12 + 0.1 * k, 1)
-        listener.odometry(stamp, by_odometry(T))
-        listener.cloud(stamp + 0.01, seen(plaza, T, k))
-        stamp += 0.1
+    listener = Listener.mounted(localizer, trigger="until_localized")
+    way = [at(-12 + 0.1 * k, 1) for k in range(30)]
+    stamp = drive(listener, plaza, way, [by_odometry(T) for T in way], 100.0)
     assert diagnose(listener.robot).level is Level.OK
     for k in range(60):
-        listener.cloud(stamp, seen(plaza, T, k))
-        stamp += 0.1
+        listener.cloud(stamp + 0.1 * k, seen(plaza, way[-1], k))
     found = diagnose(listener.robot)
     assert found.level is Level.WARN and "no odometry at the time of the scan" in found.message
     assert robot_state(listener.robot, True).map_to_odom is TfState.NONE

@@ -79,7 +79,7 @@ class Runner:
 
     @cached_property
     def made_with(self) -> Entry:
-        """Code and options that results depend on; those of others are not resumed."""
+        """Code and options that results depend on; results of any other are not resumed."""
         options = {key: value for key, value in vars(self.args).items() if key not in self._free}
         return {"code": code(), **{key: str(options[key]) for key in sorted(options)}}
 

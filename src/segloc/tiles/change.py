@@ -167,14 +167,15 @@ def merge_into_tiles(
     MapFormatError
         If a required tile is unavailable; names its file.
     """
-    voxel_m = TiledMap(where).coarse().cloud_voxel
+    tiles = TiledMap(where)
+    voxel_m = tiles.coarse().cloud_voxel
     if len(other.cloud) and other.cloud_voxel > voxel_m:
         raise MapMismatch(
             f"the map's cloud has voxels of {other.cloud_voxel:g} m, those of the tiles "
             f"{voxel_m:g} m: build it with mapping.cloud_voxel: {voxel_m:g}"
         )
     if shift is None and not unchecked:
-        shift = check_shift_in(TiledMap(where), other, name="the map")
+        shift = check_shift_in(tiles, other, name="the map")
 
     def change(part: SegmentMap) -> SegmentMap:
         check_same_place(part, other, elsewhere=elsewhere, unchecked=unchecked)

@@ -40,7 +40,7 @@ AT_ONCE = 64
 """Tiles in memory at a time."""
 
 _OURS = re.compile(r"(?:coarse|tile_-?\d+_-?\d+)-[0-9a-f]{32}\.segmap")
-"""Names of files that :func:`write_tile` gives; maps of others may lie beside them."""
+"""Names of files that :func:`write_tile` gives; other maps in the folder are kept."""
 
 Cell = tuple[int, int]
 

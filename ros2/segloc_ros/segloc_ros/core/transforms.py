@@ -224,7 +224,7 @@ class TransformTree:
         if kept[-1][0] == stamp:
             return kept[-1][1]
         later = list[tuple[float, Pose]]()
-        for entry in reversed(kept):  # most are asked for near the newest
+        for entry in reversed(kept):  # most stamps are near the newest
             later.append(entry)
             if entry[0] <= stamp:
                 break

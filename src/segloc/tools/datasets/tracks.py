@@ -152,7 +152,7 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
         if np.isin(keys, indices).all() or np.isin(indices, keys).all():
             return Track(str(path), keys, poses, "numbers", note)
         other = f"numbers {keys[0]:.0f} to {keys[-1]:.0f} are not those of the scans: in order"
-        note = f"{note}; {other}" if note else f"{path}: {other}"
+        note = _noted(path, note, other)
         keys = np.arange(len(keys)).astype(np.float64)
     if found.kind != "stamped":
         return _by_rows(path, keys, poses, indices, note)
@@ -166,6 +166,11 @@ def read_track(path: Path, indices: Int64, stamps: Float64 | None) -> Track:
             "scans by their times"
         )
     return Track(str(path), keys * unit, poses, note=note)
+
+
+def _noted(path: Path, note: str, more: str) -> str:
+    """Return a note on a file with more to it."""
+    return f"{note}; {more}" if note else f"{path}: {more}"
 
 
 def _time_unit(
@@ -192,12 +197,12 @@ def _by_rows(path: Path, keys: Float64, poses: Float64, indices: Int64, note: st
     if len(keys) > indices.max():
         if indices.min() > 0:
             more = f"scan {indices.min()} has row {indices.min() + 1}, since rows count from scan 0"
-            note = f"{note}; {more}" if note else f"{path}: {more}"
+            note = _noted(path, note, more)
         return Track(str(path), keys, poses, "numbers", note)
     count = min(len(keys), len(indices))
     if count < len(indices):
         fewer = f"{count} rows, used as the poses of the first {count} scans"
-        note = f"{note}; {fewer}" if note else f"{path}: {fewer}"
+        note = _noted(path, note, fewer)
     return Track(str(path), indices[:count].astype(np.float64), poses[:count], "numbers", note=note)
 
 

@@ -34,11 +34,11 @@ def body_findings(scans: Sequence[Scan], config: LocalCloudConfig) -> list[Findi
     config : LocalCloudConfig
         Mount of the sensor, and the box that is dropped already.
     """
-    scans = [scan for scan in scans if len(scan)]
-    if config.body is not None and scans and not any(map(len, map(config.without_body, scans))):
+    outside = [config.without_body(scan) for scan in scans if len(scan)]
+    scans = [scan for scan in outside if len(scan)]
+    if config.body is not None and outside and not scans:
         what = f"the box `body`, {[list(corner) for corner in config.body]}, holds all points"
         return [Finding(Fault.BODY_IN_VIEW, what, "give its corners in metres")]
-    scans = [kept for scan in scans if len(kept := config.without_body(scan))]
     if len(scans) < _MIN_SCANS or geometry.in_one_plane(max((s.points for s in scans), key=len)):
         return []
     standing = [_standing(scan, config) for scan in scans]

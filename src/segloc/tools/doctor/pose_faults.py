@@ -222,9 +222,10 @@ def _stuck_finding(recording: Recording, config: LocalCloudConfig) -> list[Findi
     assert poses is not None
     if not len(poses) or geometry.distance_travelled(poses)[-1] > _APART_M:
         return []
-    turned = [geometry.rotation_angle(geometry.inverse(poses[0]) @ T) for T in poses]
-    later = geometry.spread(len(poses), _SPREAD + 1)[1:]
-    fits = _fits(recording, [(0, k) for k in later if np.degrees(turned[k]) <= most_deg])
+    T_first_map, later = geometry.inverse(poses[0]), geometry.spread(len(poses), _SPREAD + 1)[1:]
+    turned = [np.degrees(geometry.rotation_angle(T_first_map @ poses[k])) for k in later]
+    pairs = [(0, k) for k, angle in zip(later, turned, strict=True) if angle <= most_deg]
+    fits = _fits(recording, pairs)
     agreement = float(np.median([fit.agreement for fit in fits])) if fits else 1.0
     if len(fits) < _MIN_PAIRS or agreement >= _UNRELATED:
         return []
