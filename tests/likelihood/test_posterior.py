@@ -64,8 +64,8 @@ def observed(
 
 def log_ratio(fit: Observation, others: list[Observation], inliers: int = 3) -> float:
     walls = [walls_over(fit.walls), *(walls_over(fit.walls, other.walls) for other in others)]
-    rivals = [aligned_measures(other) for other in others]
-    return MODEL.log_ratio(features_of(fit, rivals, inliers, min(walls)))
+    overlap, *rivals = (aligned_measures(each) for each in (fit, *others))
+    return MODEL.log_ratio(features_of(fit, overlap[0], rivals, inliers, min(walls)))
 
 
 def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
@@ -77,7 +77,6 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.85, 0.95, inliers=5), rival),
         log_ratio(observed(0.85, 0.95, on_surface=0.5), rival),
         log_ratio(observed(0.85, 0.95, ground=0.5), rival),
-        log_ratio(observed(0.85, 0.95, inside=0.1), rival),
         log_ratio(observed(0.85, 0.95, walls=0.6), rival),
         log_ratio(observed(0.85, 0.95), rival, inliers=7),
         log_ratio(observed(0.85, 0.95), [observed(0.85, 0.6, inliers=3, walls=0.4)]),
@@ -85,6 +84,8 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.85, 0.95), [observed(0.5, 0.6, inliers=3, walls=0.7)]),
     ):
         assert worse < good
+    few, many = (log_ratio(observed(0.85, 0.6, inside=share), rival) for share in (0.01, 0.1))
+    assert many < few
 
 
 def test_no_observation_makes_an_impossible_score() -> None:

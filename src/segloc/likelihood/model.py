@@ -21,9 +21,12 @@ FEATURES = (
     "on_surface",
     "ground",
     "free_space",
-    "inliers_over_rival",
+    "inliers",
+    "inliers_elsewhere",
+    "overlap",
     "known_over_rival",
     "seen_over_rival",
+    "in_view",
     "walls_over_rival",
 )
 """Names of the features, in the order of :func:`features_of`."""
@@ -32,6 +35,8 @@ _PRIOR, _SEEN_PRIOR = 10.0, 15.0
 """Points by which shares of surfaces and of the map in view are smoothed."""
 _NEARLY_ALL = 0.05
 """Shares nearer to all or nothing than this are hardly told apart: noise decides there."""
+_INSIDE = 0.03
+"""Share of patches in free space that says as much as a map in view that is seen by chance."""
 _KNOWN_PRIOR = 0.2
 """By how many points, as a share of all, those known are smoothed: a pose that the map knows
 nothing about fits as chance does."""
@@ -45,8 +50,8 @@ _CHANCE_INLIERS = 4
 """Inliers of some wrong pose of any map."""
 _BEST_GAIN, _BEST_SEEN = 0.05, 2.0
 """Assumed of a place that was not aligned: gain of overlap by alignment, as a share, and log-odds
-of the seen map points. In the rows of the fit 3255 poses have the highest confidence beside such
-places, all of them right; beside all measured places the least log-odds of these are 5.9."""
+of the seen map points. In the rows of the fit 3100 poses have the highest confidence beside such
+places, all of them right; beside all measured places the least log-odds of these are 7.4."""
 
 
 class Measured(Protocol):
@@ -80,13 +85,14 @@ class Promise(Section):
         return sum(w * x for w, x in zip(self.weights, (1.0, *measures), strict=True))
 
 
-class Known(Promise):
-    """What a view says about a pose that is known already, by its features.
+class Known(Section):
+    """What a view says about a pose that is known already, by some of its features.
 
-    A logistic regression of the features, fitted to views from right and from wrong poses of robots
-    that drive on.
+    A logistic regression, fitted to views from right and from wrong poses of robots that drive on.
     """
 
+    weights: Mapping[str, float] = Field(description="weight of each feature that counts")
+    constant: float = Field(description="log-odds without any")
     misleading: float = Field(gt=0, lt=0.5, description="probability that a view misleads")
     power: float = Field(gt=0, description="exponent of the unknown share that is no evidence")
     alike_m: float = Field(gt=0, description="way over which what views say decays to 1/e [m]")
@@ -95,9 +101,10 @@ class Known(Promise):
         """Return how alike the evidence of two views so many metres apart is, in [0, 1]."""
         return math.exp(-metres / self.alike_m)
 
-    def evidence(self, features: Sequence[float], unknown: float) -> float:
+    def evidence(self, features: Mapping[str, float], unknown: float) -> float:
         """Return the log-ratio of a view from a pose against one from elsewhere."""
-        right = 1.0 / (1.0 + math.exp(-self.log_odds(features)))
+        weighed = sum(weight * features[name] for name, weight in self.weights.items())
+        right = 1.0 / (1.0 + math.exp(-self.constant - weighed))
         p = self.misleading + (1.0 - 2.0 * self.misleading) * right
         return self.information(unknown) * math.log(p / (1.0 - p))
 
@@ -109,7 +116,7 @@ class Known(Promise):
 class Model(Section):
     """Log-ratio of a pose: a weighted sum of its features."""
 
-    format: int = Field(ge=6, le=6, description="format version")
+    format: int = Field(ge=7, le=7, description="format version")
     weights: Mapping[str, float] = Field(
         description="weight of each feature; natural logarithms, no unit"
     )
@@ -135,17 +142,20 @@ class Model(Section):
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """Return the log-ratio of a pose to another that differs only in its inliers."""
-        return 2.0 * self.weights["inliers_over_rival"] * inlier_ratio(inliers, elsewhere)
+        more = self.weights["inliers"] - self.weights["inliers_elsewhere"]
+        return more * inlier_ratio(inliers, elsewhere)
 
 
 def features_of(
-    fit: Measured, rivals: Sequence[Sequence[float]], inliers: int, walls: float
+    fit: Measured, overlap: float, rivals: Sequence[Sequence[float]], inliers: int, walls: float
 ) -> tuple[float, ...]:
     """Return the features of a pose.
 
     Parameters
     ----------
     fit : Measured
+    overlap : float
+        The first of its :func:`aligned_measures`.
     rivals : sequence of (overlap, seen)
         :func:`aligned_measures` of the other places among the most promising ones. The pose is
         compared with the one that overlaps most, or with chance if that is higher. The less that
@@ -155,15 +165,21 @@ def features_of(
     walls : float
         Least :func:`walls_over` of chance and of each other place that was measured to the end.
     """
-    overlap, seen = max(rivals, key=lambda rival: rival[0], default=CHANCE_RIVAL)
-    likely = 1.0 / (1.0 + math.exp(-2.0 * (overlap - CHANCE_RIVAL[0])))
+    chance, unseen = CHANCE_RIVAL
+    most, seen = max(rivals, key=lambda rival: rival[0], default=CHANCE_RIVAL)
+    likely = 1.0 / (1.0 + math.exp(-2.0 * (most - chance)))
+    seen_over = fit.seen.log_odds(_SEEN_PRIOR) - likely * max(seen, unseen)
     return (
         surface_odds(fit.on_surface),
         surface_odds(fit.ground),
-        free_space(fit.inside),
-        inlier_ratio(fit.inliers, inliers),
-        known_odds(fit.known) - max(overlap, CHANCE_RIVAL[0]),
-        fit.seen.log_odds(_SEEN_PRIOR) - likely * max(seen, CHANCE_RIVAL[1]),
+        # Both tell of empty space: what the one does not show, the other need not show again.
+        max(free_space(fit.inside), seen_over),
+        inlier_ratio(fit.inliers, 0),
+        inlier_ratio(max(inliers, _CHANCE_INLIERS), 0),
+        overlap - chance,
+        known_odds(fit.known) - max(most, chance),
+        seen_over,
+        math.log1p(fit.seen.of),
         walls,
     )
 
@@ -225,8 +241,8 @@ def as_by_chance(_: Pose) -> int:
 
 
 def free_space(inside: Count) -> float:
-    """Return the negative log of the share of patches in free space."""
-    return -math.log((inside.hits + 3.0) / (inside.of + 60.0))
+    """Return the log of how few patches are in free space."""
+    return math.log(_INSIDE * (inside.of + 60.0) / (inside.hits + 3.0))
 
 
 def share_odds(share: float) -> float:
@@ -261,6 +277,8 @@ def load_model(path: Path) -> Model:
         raise WeightsError(f"{path}: damaged ({error})") from error
     if set(model.weights) != set(FEATURES):
         raise WeightsError(f"{path}: weights must be those of {', '.join(FEATURES)}")
+    if not set(model.known.weights) <= set(FEATURES):
+        raise WeightsError(f"{path}: of a known pose only {', '.join(FEATURES)} are measured")
     return model
 
 

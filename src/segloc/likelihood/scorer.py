@@ -14,6 +14,7 @@ from ..types import Bools, Candidate, Float64, Pose
 from .clouds import Clouds
 from .config import VerificationConfig
 from .model import (
+    FEATURES,
     Model,
     aligned_measures,
     as_by_chance,
@@ -98,6 +99,7 @@ class Likelihood:
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """Return the fit at a pose with its log-ratio."""
+        named = dict(zip(FEATURES, features, strict=True))
         return ScoredPose(
             T_map_local=fit.T_map_local,
             log_ratio=self.model.log_ratio(features),
@@ -107,7 +109,7 @@ class Likelihood:
             rmse=fit.rmse,
             covariance=fit.covariance,
             features=features,
-            evidence=self.model.known.evidence(features, fit.known.unknown),
+            evidence=self.model.known.evidence(named, fit.known.unknown),
             unknown=fit.known.unknown,
         )
 
@@ -458,13 +460,14 @@ class Scorer:
         ]
         rival_apart = self._separation.apart_from(poses, np.stack([T for T, _ in met]))
         for k, place in enumerate(done):
-            assert place.fit is not None
+            assert place.fit is not None and place.aligned is not None
             others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
             inliers = max([elsewhere[k], *(other.inliers for other in others)])
             against = [self._walls_over(place.fit, other) for other in others]
             walls = min([walls_over(place.fit.walls), *against])
             rivals = [m for (_, m), away in zip(met, rival_apart[k], strict=True) if away]
-            features = features_of(place.fit, rivals, inliers, walls)
+            overlap, _ = aligned_measures(place.aligned)
+            features = features_of(place.fit, overlap, rivals, inliers, walls)
             place.scored = self._likelihood.scored(place.fit, features)
 
     def _walls_over(self, fit: Observation, other: Observation) -> float:

@@ -16,7 +16,14 @@ from samples.storey import furnished, scan_in, storey
 from samples.walk import POINTS_ASIDE, Site, run
 
 from segloc import Localizer, SegmentMap, build_map, geometry
-from segloc.likelihood import Count, Posterior, Walls, features_of, walls_over
+from segloc.likelihood import (
+    Count,
+    Posterior,
+    Walls,
+    aligned_measures,
+    features_of,
+    walls_over,
+)
 from segloc.tools.inspect import confidence_tables, steps, summarize, trace
 from segloc.tools.inspect.evidence import LABELS, evidence_rows, parts_of
 from segloc.tools.io import read_trajectory
@@ -159,7 +166,7 @@ def test_the_parts_of_the_confidence_add_up_to_it(site: Site) -> None:
             best = localizer.search(localizer.describe(cloud)).posterior.best
             assert best is not None and log_ratio == pytest.approx(best.log_ratio)
             rows = [row for _, rows in confidence_tables(found) for row in rows]
-            labels = sorted([*LABELS.values(), "prior"])
+            labels = sorted([*LABELS, "prior"])
             assert sorted(label for _, label, _ in rows) == labels  # each once
         if plain.localized:
             assert found.T_map_local is not None
@@ -217,7 +224,9 @@ def test_what_was_not_measured_is_worth_nothing(plaza: Plaza, plaza_map: Segment
     nothing = Count(0, 0)
     walls = Walls(fit.walls.explained, 0 * fit.walls.weight)
     bare = replace(fit, inside=nothing, ground=nothing, on_surface=nothing, walls=walls)
-    scored = localizer.likelihood.scored(bare, features_of(bare, (), 0, walls_over(bare.walls)))
+    overlap, _ = aligned_measures(bare)
+    features = features_of(bare, overlap, (), 0, walls_over(bare.walls))
+    scored = localizer.likelihood.scored(bare, features)
     search = replace(
         search,
         posterior=Posterior.of([scored]),
@@ -225,7 +234,9 @@ def test_what_was_not_measured_is_worth_nothing(plaza: Plaza, plaza_map: Segment
     )
     parts = parts_of(localizer.likelihood.model, search)
     unmeasured = {part.label: part for part in parts if part.words.startswith("not measured: ")}
-    assert unmeasured.keys() == {"walls", "ground", "free space", "wall by wall"}
+    assert unmeasured.keys() == {"walls", "ground", "wall by wall"}
+    (free,) = (part.words for part in parts if part.label == "free space")
+    assert free == "the map in view tells more; not measured: no free space of the map is known"
     assert all(part.log_odds == pytest.approx(0.0) for part in unmeasured.values())
     groups = dict(evidence_rows(-6.0, parts))
     assert {label for _, label, _ in groups["neither"]} >= unmeasured.keys()

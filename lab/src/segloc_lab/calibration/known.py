@@ -49,11 +49,11 @@ WHOLE, NARROW, CROWDED = range(3)
 """Ways of seeing."""
 CROWD, CROWD_M, CROWD_SHARE = 3, (0.8, 3.0), (0.5, 0.9)
 """Scans of which one is crowded, distance of the people, and the share of directions they block."""
-COLUMNS = ("map", "seen", "track", "step", "right", "unknown", *FEATURES)
+USED = ("seen_over_rival", "walls_over_rival")
+"""Features of the model: with the others wrong poses of other worlds are believed more."""
+COLUMNS = ("map", "seen", "track", "step", "right", "unknown", *USED)
 TOGETHER = (1, 3, 6)
 """Views in succession to which the model is fitted."""
-UNUSED = "inliers_over_rival"
-"""Segments are not matched where a pose is known."""
 RIDGE = 2e-4
 LEAST_MISLEADING = 0.002
 """Share of views of what the worlds lack, as of a truck that stands before the sensor; by hand."""
@@ -117,20 +117,25 @@ def _followed(
         before, step = T_odom_sensor, i % EVERY
         at = _compared(localizer, cloud, truth)
         if at is not None:
-            yield 1000 * drive, i, 1, at.unknown, *at.features
+            yield 1000 * drive, i, 1, at.unknown, *_used(at)
         for k, T in enumerate(held):
             at = _compared(localizer, cloud, T)
             if at is None:
                 continue
             held[k] = T_there = at.T_map_local @ T_local_sensor
             number = 1000 * drive + i // EVERY * HELD + k + 1
-            yield number, step, bool(is_right(*errors(T_there, truth))), at.unknown, *at.features
+            yield number, step, bool(is_right(*errors(T_there, truth))), at.unknown, *_used(at)
 
 
 def _compared(localizer: Localizer, cloud: LocalCloud, T_map_sensor: Pose) -> ScoredPose | None:
     """Compare a cloud at a known pose; None if it has nothing to compare."""
     T = T_map_sensor @ geometry.inverse(cloud.T_local_sensor)
     return localizer.compare(cloud, [T]).at(T, localizer.likelihood.separation)
+
+
+def _used(at: ScoredPose) -> Row:
+    named = dict(zip(FEATURES, at.features, strict=True))
+    return tuple(named[name] for name in USED)
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,7 @@ class Views:
     Attributes
     ----------
     features : (N, K) float64
-        Of :data:`segloc.likelihood.FEATURES`.
+        Those of :data:`USED`.
     unknown : (N,) float64
     right : (N,) bool
     seen, robot, step : (N,)
@@ -184,7 +189,8 @@ class Views:
 
     def evidence(self, known: Known) -> Float64:
         """Compute what each view says, (N,)."""
-        rows = zip(self.features.tolist(), self.unknown.tolist(), strict=True)
+        named = [dict(zip(USED, row, strict=True)) for row in self.features.tolist()]
+        rows = zip(named, self.unknown.tolist(), strict=True)
         return np.array([known.evidence(features, unknown) for features, unknown in rows])
 
     def told(self, known: Known) -> Float64:
@@ -203,8 +209,7 @@ def said_together(said: Float64, told: Float64, alike: float) -> Float64:
 
 def fitted(views: Views, chosen: Mask) -> Known:
     """Fit the model to the views of some worlds."""
-    used = [k for k, name in enumerate(FEATURES) if name != UNUSED]
-    X = np.column_stack([np.ones(len(views.robot)), views.features[:, used]])
+    X = np.column_stack([np.ones(len(views.robot)), views.features])
     runs = [run[chosen[views.world[run[:, 0]]]] for run in map(views.together, TOGETHER)]
 
     def loss(p: Float64) -> float:
@@ -219,12 +224,12 @@ def fitted(views: Views, chosen: Mask) -> Known:
             total += float(np.logaddexp(0.0, sums[~right]).mean())
         return total
 
-    start = np.concatenate([[-1.0], np.ones(len(used)), [-4.0, 1.0, 1.0]])
+    start = np.concatenate([[-1.0], np.ones(len(USED)), [-4.0, 1.0, 1.0]])
     found = minimize(loss, start, method="BFGS", options={"gtol": 1e-4}).x
-    weights = np.zeros(len(FEATURES) + 1)
-    weights[[0, *(k + 1 for k in used)]] = found[: X.shape[1]]
+    constant, *weights = (round(float(w), 3) for w in found[: X.shape[1]])
     return Known(
-        weights=tuple(round(float(w), 3) for w in weights),
+        weights=dict(zip(USED, weights, strict=True)),
+        constant=constant,
         misleading=round(max(float(0.5 * expit(found[-3])), LEAST_MISLEADING), 5),
         power=round(float(np.exp(found[-2])), 2),
         alike_m=round(-STEP_M / float(np.log(expit(found[-1]))), 1),
@@ -288,7 +293,7 @@ def main() -> None:
     worlds = read(args.rows)
     views = Views.of(worlds)
     known = fitted(views, np.ones(len(worlds), bool))
-    weights = Table(("", "value"), [*zip(("constant", *FEATURES), known.weights, strict=True)])
+    weights = Table(("", "value"), [("constant", known.constant), *known.weights.items()])
     evidence = table(views, held_out(views), known)
     publish(args.report, "What a view says of a known pose", evidence, weights)
     for path in args.out:

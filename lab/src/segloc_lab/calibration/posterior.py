@@ -30,7 +30,6 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
 from segloc.likelihood import (
-    CHANCE_RIVAL,
     FEATURES,
     Count,
     Evidence,
@@ -97,7 +96,7 @@ class Records:
     Attributes
     ----------
     features : (R, M, K) float64
-        Zero where there is no pose. Those of :data:`segloc.likelihood.FEATURES` beside no rival.
+        Those of :data:`segloc.likelihood.FEATURES`; zero where there is no pose.
     before : (R, M, 5) float64
         What was known before the measurement: three numbers before alignment, two after.
     poses, right, false : (R, M) bool
@@ -130,11 +129,15 @@ class Records:
         return np.where(self.right.any(axis=1), first, most)
 
 
-def without_ground(rows: Rows) -> Rows:
-    """Drop what ground says, as in maps without any."""
-    fits = rows.fits.copy()
-    fits[:, [_COLUMN["ground"], _COLUMN["ground_of"]]] = 0.0
-    return replace(rows, fits=fits)
+def without_ground(records: Records) -> Records:
+    """Drop what ground says, as in maps without any, and the overlap beside no rival.
+
+    Maps without ground are finished clouds, which lack more of their places than those of the rows
+    do: what is unknown to them must not count against a pose.
+    """
+    features = records.features.copy()
+    features[..., [FEATURES.index(name) for name in ("ground", "overlap")]] = 0.0
+    return replace(records, features=features)
 
 
 def records_of(rows: Rows) -> Records:
@@ -156,37 +159,25 @@ def records_of(rows: Rows) -> Records:
 
 
 def described(rows: Float32) -> Float64:
-    """Compute the features of the poses of one query in one map beside no rival, (N, K)."""
-    features = [
-        features_of(Fit.of(row), (), int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]])
-        for row in rows.tolist()
-    ]
-    return np.array(features, np.float64).reshape(-1, len(FEATURES))
+    """Compute the features of the poses of one query in one map, (N, K).
+
+    Each is compared with the rival that overlaps most, as by a scorer.
+    """
+    found: list[tuple[float, ...]] = []
+    rivals = rows[:, [_COLUMN[name] for name in ALIGNED]].tolist()
+    by_overlap = sorted(range(len(rows)), key=lambda k: -rivals[k][0])[:2]
+    for k, row in enumerate(rows.tolist()):
+        others = [rivals[other] for other in by_overlap if other != k]
+        elsewhere, walls = int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]]
+        found.append(features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls))
+    return np.array(found, np.float64).reshape(-1, len(FEATURES))
 
 
-def beside_rivals(records: Records) -> Records:
-    """Compare each pose with the rival that overlaps most, as a scorer does."""
-    overlap, seen = (records.before[..., len(ROUGH) + k] for k in range(2))
-    chance, none = CHANCE_RIVAL
-    met = np.where(records.poses, overlap, -np.inf)
-    order = (-met).argsort(axis=1, kind="stable")[:, :2]
-    features = records.features.copy()
-    here = np.arange(records.poses.shape[1])
-    best = np.where(here == order[:, :1], order[:, 1:], order[:, :1])
-    odds = np.take_along_axis(met, best, axis=1)
-    likely = expit(2.0 * (odds - chance))
-    rival_seen = np.maximum(np.take_along_axis(seen, best, axis=1), none)
-    features[..., FEATURES.index("known_over_rival")] -= np.maximum(odds, chance) - chance
-    features[..., FEATURES.index("seen_over_rival")] -= likely * rival_seen
-    return replace(records, features=features * records.poses[..., None])
-
-
-def fitted(records: Records) -> tuple[Records, Float64, dict[str, Promise]]:
-    """Fit the weights, and what a place promises; return also the features beside rivals."""
-    beside = beside_rivals(records)
-    weights = fit(beside)
-    log_ratio = (beside.features @ weights[:-1] - weights[-1])[records.poses]
-    return beside, weights, promises(records, log_ratio > 0.0)
+def fitted(records: Records) -> tuple[Float64, dict[str, Promise]]:
+    """Fit the weights, and what a place promises."""
+    weights = fit(records)
+    log_ratio = (records.features @ weights[:-1] - weights[-1])[records.poses]
+    return weights, promises(records, log_ratio > 0.0)
 
 
 def promises(records: Records, competes: Mask) -> dict[str, Promise]:
@@ -443,9 +434,10 @@ def main() -> None:
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
+    records = records_of(rows)
     if args.without_ground:
-        rows = without_ground(rows)
-    records, weights, promised = fitted(records_of(rows))
+        records = without_ground(records)
+    weights, promised = fitted(records)
     decisions = held_out(records, folds(records))
     apart = told_apart(records)
     runs = {

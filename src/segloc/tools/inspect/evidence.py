@@ -22,21 +22,21 @@ from ...likelihood import (
     wall_differences,
     walls_over,
 )
-from ...likelihood.model import as_by_chance, known_odds
+from ...likelihood.model import CHANCE_RIVAL, as_by_chance, free_space, known_odds
 from ...pipeline import Search
 from ...proposals.first_sight import FirstSight
 from ...system.text import quantity
 
 LABELS = {
-    "on_surface": "walls",
-    "ground": "ground",
-    "free_space": "free space",
-    "inliers_over_rival": "segments",
-    "known_over_rival": "points",
-    "seen_over_rival": "map in view",
-    "walls_over_rival": "wall by wall",
+    "walls": ("on_surface",),
+    "ground": ("ground",),
+    "free space": ("free_space",),
+    "segments": ("inliers", "inliers_elsewhere"),
+    "points": ("overlap", "known_over_rival"),
+    "map in view": ("seen_over_rival", "in_view"),
+    "wall by wall": ("walls_over_rival",),
 }
-"""Names of the features in texts."""
+"""What is listed, and the features of each."""
 MIN_LOG_ODDS = 0.05
 """Share in log-odds below which a feature counts neither for nor against a pose."""
 
@@ -55,17 +55,17 @@ class _Unmeasured(NamedTuple):
 _CHANCE_INLIERS = _Unmeasured().inliers
 _CHANCE_SHARE = 1.0 / (1.0 + math.exp(-known_odds(_Unmeasured().known)))
 _CHANCE_SEEN = 0.5
-_WORTH_NOTHING = features_of(_Unmeasured(), (), _CHANCE_INLIERS, 0.0)
+_WORTH_NOTHING = features_of(_Unmeasured(), CHANCE_RIVAL[0], (), _CHANCE_INLIERS, 0.0)
 
 
 @dataclass(frozen=True)
 class Part:
-    """One feature of the best pose.
+    """What one thing that was measured says of the best pose.
 
     Attributes
     ----------
-    name : str
-        Name in the model.
+    label : str
+        Of :data:`LABELS`.
     log_odds : float
         Share in the log-odds of the pose; 0 of what was not measured.
     words : str
@@ -76,16 +76,11 @@ class Part:
         What was measured at the pose and at the runner-up; "" without one.
     """
 
-    name: str
+    label: str
     log_odds: float
     words: str
     over: float = 0.0
     beside: str = ""
-
-    @property
-    def label(self) -> str:
-        """Name in texts."""
-        return LABELS[self.name]
 
 
 def prior_log_odds(model: Model) -> float:
@@ -94,26 +89,32 @@ def prior_log_odds(model: Model) -> float:
 
 
 def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
-    """Return the share of each feature in the log-odds of the most probable place."""
+    """Return the shares in the log-odds of the most probable place."""
     best, *others = found.posterior.places
-    fit, over, beside = _fit(found, best), (0.0,) * len(FEATURES), dict.fromkeys(FEATURES, "")
-    words = _describe_fit(found, fit)
+    fit, beside = _fit(found, best), dict.fromkeys(LABELS, "")
+    words, over = _describe_fit(found, fit), dict.fromkeys(LABELS, 0.0)
     if others:
-        over = tuple(np.subtract(best.features, others[0].features).tolist())
+        over = _shares(model, best.features, others[0].features)
         beside = _beside(fit, _fit(found, others[0]))
     if found.proposer == FirstSight.name:
-        words["inliers_over_rival"] = "not measured: first sight decides without segments"
-        beside["inliers_over_rival"] = ""
+        words["segments"] = "not measured: first sight decides without segments"
+        beside["segments"] = ""
+    named = dict(zip(FEATURES, best.features, strict=True))
+    if named["free_space"] > free_space(fit.inside):
+        words["free space"] = f"the map in view tells more; {words['free space']}"
+    shares = _shares(model, best.features, _WORTH_NOTHING)
     return tuple(
-        Part(
-            name,
-            model.weights[name] * (best.features[k] - _WORTH_NOTHING[k]),
-            words[name],
-            model.weights[name] * over[k],
-            beside[name],
-        )
-        for k, name in enumerate(FEATURES)
+        Part(label, shares[label], words[label], over[label], beside[label]) for label in LABELS
     )
+
+
+def _shares(model: Model, here: Sequence[float], there: Sequence[float]) -> dict[str, float]:
+    """Return by how much the log-odds of features exceed those of others, by label."""
+    more = dict(zip(FEATURES, np.subtract(here, there).tolist(), strict=True))
+    return {
+        label: sum(model.weights[name] * more[name] for name in names)
+        for label, names in LABELS.items()
+    }
 
 
 def evidence_rows(
@@ -158,7 +159,7 @@ def _known_count(fit: Observation) -> Count:
 def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
     """Return each share that is measured at a pose, in words, and why it may be unknown."""
     return {
-        "on_surface": (
+        "walls": (
             fit.on_surface,
             "of the wall points lie on the map's walls",
             "no walls of the map near those of the query",
@@ -168,17 +169,17 @@ def _counts(fit: Observation) -> dict[str, tuple[Count, str, str]]:
             "of the ground points lie on the map's ground",
             "no ground of the map near that of the query",
         ),
-        "free_space": (
+        "free space": (
             fit.inside,
             "of the surfaces lie in space that is free in the map",
             "no free space of the map is known",
         ),
-        "known_over_rival": (
+        "points": (
             _known_count(fit),
             "of the points in known space lie on the map",
             "the map knows nothing where the points lie",
         ),
-        "seen_over_rival": (
+        "map in view": (
             fit.seen,
             "of the map in view is seen",
             "nothing of the map is in view",
@@ -196,14 +197,14 @@ def _describe_fit(found: Search, fit: Observation) -> dict[str, str]:
     aligned = (place.aligned for place in others if place.aligned is not None)
     rival = max(aligned, key=lambda one: one.overlap, default=None)
     overlap, seen = (0.0, 0.0) if rival is None else (rival.overlap, rival.seen.share or 0.0)
-    words["known_over_rival"] += _elsewhere(overlap, _CHANCE_SHARE)
-    words["seen_over_rival"] += _elsewhere(seen, _CHANCE_SEEN)
+    words["points"] += _elsewhere(overlap, _CHANCE_SHARE)
+    words["map in view"] += _elsewhere(seen, _CHANCE_SEEN)
     inliers = max([0, *(place.inliers for place in others)])
-    words["inliers_over_rival"] = quantity(fit.inliers, "segments", "agree") + (
+    words["segments"] = quantity(fit.inliers, "segments", "agree") + (
         f"; {inliers} elsewhere" if inliers > _CHANCE_INLIERS else f"; {_CHANCE_INLIERS} by chance"
     )
     walls = [other.walls for other in found.fits if other is not fit]
-    words["walls_over_rival"] = _walls(fit.walls, walls)
+    words["wall by wall"] = _walls(fit.walls, walls)
     return words
 
 
@@ -237,9 +238,9 @@ def _beside(fit: Observation, other: Observation) -> dict[str, str]:
         for name, (count, what, _) in _counts(fit).items()
     }
     agree = quantity(fit.inliers, "segments", "agree")
-    words["inliers_over_rival"] = f"{agree}, {other.inliers} at the runner-up"
+    words["segments"] = f"{agree}, {other.inliers} at the runner-up"
     better, worse = _count_differing(fit.walls, other.walls)
-    words["walls_over_rival"] = f"{better} pieces of wall fit better here, {worse} at the runner-up"
+    words["wall by wall"] = f"{better} pieces of wall fit better here, {worse} at the runner-up"
     return words
 
 
