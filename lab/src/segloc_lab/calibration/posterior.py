@@ -130,13 +130,13 @@ class Records:
 
 
 def without_ground(records: Records) -> Records:
-    """Drop what ground says, as in maps without any, and the overlap beside no rival.
+    """Drop what ground says, as in maps without any, and what the extent of a map says.
 
-    Maps without ground are finished clouds, which lack more of their places than those of the rows
-    do: what is unknown to them must not count against a pose.
+    Maps without ground are finished clouds: they lack more of their places than those of the rows
+    do, and hold what nothing on the path saw.
     """
     features = records.features.copy()
-    features[..., [FEATURES.index(name) for name in ("ground", "overlap")]] = 0.0
+    features[..., [FEATURES.index(name) for name in ("ground", "overlap", "in_view")]] = 0.0
     return replace(records, features=features)
 
 
