@@ -55,6 +55,7 @@ class _Unmeasured(NamedTuple):
 _CHANCE_INLIERS = _Unmeasured().inliers
 _CHANCE_SHARE = 1.0 / (1.0 + math.exp(-known_odds(_Unmeasured().known)))
 _CHANCE_SEEN = 0.5
+_IN_VIEW = FEATURES.index("in_view")
 _WORTH_NOTHING = features_of(_Unmeasured(), CHANCE_RIVAL[0], (), _CHANCE_INLIERS, 0.0)
 
 
@@ -83,9 +84,10 @@ class Part:
     beside: str = ""
 
 
-def prior_log_odds(model: Model) -> float:
-    """Return the log-odds of a pose before anything is measured."""
-    return model.log_ratio(_WORTH_NOTHING)
+def prior_log_odds(model: Model, pose: ScoredPose | None) -> float:
+    """Return the log-odds before anything is measured of a pose with so much in view."""
+    in_view = 0.0 if pose is None else pose.features[_IN_VIEW]
+    return model.log_ratio(_WORTH_NOTHING) + model.weights["in_view"] * in_view
 
 
 def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
@@ -103,6 +105,7 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     if named["free_space"] > free_space(fit.inside):
         words["free space"] = f"the map in view tells more; {words['free space']}"
     shares = _shares(model, best.features, _WORTH_NOTHING)
+    shares["map in view"] -= model.weights["in_view"] * best.features[_IN_VIEW]  # of the prior
     return tuple(
         Part(label, shares[label], words[label], over[label], beside[label]) for label in LABELS
     )
@@ -125,7 +128,9 @@ def evidence_rows(
     ``prior`` is :func:`prior_log_odds`. The largest share of a group comes first.
     """
     rows = [(part.log_odds, part.label, part.words) for part in parts]
-    rows.append((prior, "prior", "before anything is measured: most poses are wrong"))
+    rows.append(
+        (prior, "prior", "most poses are wrong, and the more is in view, the more must fit")
+    )
     rows.sort(key=lambda row: -abs(row[0]))
     for name, chosen in (
         ("for this pose", [row for row in rows if row[0] >= MIN_LOG_ODDS]),

@@ -100,7 +100,7 @@ def trace(
         prior_map=found.prior_map,
         T_map_local=T,
         on_map=_on_map(found.prior_map, query.scene.structure, T),
-        prior=prior_log_odds(likelihood.model),
+        prior=prior_log_odds(likelihood.model, found.posterior.best),
         parts=() if best is None else parts_of(likelihood.model, found),
     )
 
