@@ -85,7 +85,7 @@ class Part:
 
 
 def prior_log_odds(model: Model, pose: ScoredPose | None) -> float:
-    """Return the log-odds before anything is measured of a pose with so much in view."""
+    """Return the log-odds of a pose by how much is in view, before anything else is measured."""
     in_view = 0.0 if pose is None else pose.features[_IN_VIEW]
     return model.log_ratio(_WORTH_NOTHING) + model.weights["in_view"] * in_view
 
@@ -112,7 +112,7 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
 
 
 def _shares(model: Model, here: Sequence[float], there: Sequence[float]) -> dict[str, float]:
-    """Return by how much the log-odds of features exceed those of others, by label."""
+    """Return, by label, what the features of one pose add to the log-odds over another's."""
     more = dict(zip(FEATURES, np.subtract(here, there).tolist(), strict=True))
     return {
         label: sum(model.weights[name] * more[name] for name in names)
