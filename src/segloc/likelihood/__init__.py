@@ -8,6 +8,7 @@ from .model import Known as Known
 from .model import Model as Model
 from .model import Promise as Promise
 from .model import aligned_measures as aligned_measures
+from .model import by_name as by_name
 from .model import features_of as features_of
 from .model import shipped_model as shipped_model
 from .model import wall_differences as wall_differences

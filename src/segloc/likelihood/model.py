@@ -137,7 +137,7 @@ class Model(Section):
 
     def log_ratio(self, features: Sequence[float]) -> float:
         """Return the log-ratio of a pose against "not in this map", by :func:`features_of`."""
-        weighed = (self.weights[name] * x for name, x in zip(FEATURES, features, strict=True))
+        weighed = (self.weights[name] * x for name, x in by_name(features).items())
         return sum(weighed) - self.none
 
     def margin(self, inliers: int, elsewhere: int) -> float:
@@ -182,6 +182,11 @@ def features_of(
         math.log1p(fit.seen.of),
         walls,
     )
+
+
+def by_name(features: Sequence[float]) -> dict[str, float]:
+    """Return features of :func:`features_of` by their names."""
+    return dict(zip(FEATURES, features, strict=True))
 
 
 def rough_measures(overlap: float, rival: float, inliers: int, elsewhere: int) -> tuple[float, ...]:

@@ -14,11 +14,11 @@ from ..types import Bools, Candidate, Float64, Pose
 from .clouds import Clouds
 from .config import VerificationConfig
 from .model import (
-    FEATURES,
     Model,
     aligned_measures,
     as_by_chance,
     best_case_measures,
+    by_name,
     features_of,
     rough_measures,
     shipped_model,
@@ -99,7 +99,6 @@ class Likelihood:
 
     def scored(self, fit: Observation, features: tuple[float, ...]) -> ScoredPose:
         """Return the fit at a pose with its log-ratio."""
-        named = dict(zip(FEATURES, features, strict=True))
         return ScoredPose(
             T_map_local=fit.T_map_local,
             log_ratio=self.model.log_ratio(features),
@@ -109,7 +108,7 @@ class Likelihood:
             rmse=fit.rmse,
             covariance=fit.covariance,
             features=features,
-            evidence=self.model.known.evidence(named, fit.known.unknown),
+            evidence=self.model.known.evidence(by_name(features), fit.known.unknown),
             unknown=fit.known.unknown,
         )
 

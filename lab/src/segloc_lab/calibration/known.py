@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from segloc import Config, Localizer, Scan, geometry
-from segloc.likelihood import FEATURES, Known, ScoredPose
+from segloc.likelihood import Known, ScoredPose, by_name
 from segloc.types import Float32, Float64, Int64, LocalCloud, Pose
 
 from ..parallel import in_parallel
@@ -134,7 +134,7 @@ def _compared(localizer: Localizer, cloud: LocalCloud, T_map_sensor: Pose) -> Sc
 
 
 def _used(at: ScoredPose) -> Row:
-    named = dict(zip(FEATURES, at.features, strict=True))
+    named = by_name(at.features)
     return tuple(named[name] for name in USED)
 
 

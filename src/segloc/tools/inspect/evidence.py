@@ -18,6 +18,7 @@ from ...likelihood import (
     Observation,
     ScoredPose,
     Walls,
+    by_name,
     features_of,
     wall_differences,
     walls_over,
@@ -101,8 +102,7 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     if found.proposer == FirstSight.name:
         words["segments"] = "not measured: first sight decides without segments"
         beside["segments"] = ""
-    named = dict(zip(FEATURES, best.features, strict=True))
-    if named["free_space"] > free_space(fit.inside):
+    if by_name(best.features)["free_space"] > free_space(fit.inside):
         words["free space"] = f"the map in view tells more; {words['free space']}"
     shares = _shares(model, best.features, _WORTH_NOTHING)
     shares["map in view"] -= model.weights["in_view"] * best.features[_IN_VIEW]  # of the prior
@@ -113,7 +113,7 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
 
 def _shares(model: Model, here: Sequence[float], there: Sequence[float]) -> dict[str, float]:
     """Return, by label, what the features of one pose add to the log-odds over another's."""
-    more = dict(zip(FEATURES, np.subtract(here, there).tolist(), strict=True))
+    more = by_name(np.subtract(here, there).tolist())
     return {
         label: sum(model.weights[name] * more[name] for name in names)
         for label, names in LABELS.items()
