@@ -1,4 +1,4 @@
-"""Format numbers in sentences."""
+"""Format numbers in sentences, and errors on a line."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ def _singular(noun: str) -> str:
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
     """Format a number with its unit, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"
+
+
+def one_line(error: object) -> str:
+    """Return the message of an error on one line, or its name if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def json_text(value: Any, before: int = 0, indent: int = 0) -> str:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 from ..errors import MapFormatError, SeglocError, requires
 from ..system.files import make_folder, write_bytes
 from ..system.locks import exclusive
+from ..system.text import one_line
 from .index import INDEX, TileFile, digest_of
 
 Answer = TypeVar("Answer")
@@ -136,11 +137,6 @@ def _writing(where: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise SeglocError(f"{where}: cannot be written: {one_line(error)}") from error
-
-
-def one_line(error: Exception) -> str:
-    """Return the message of an error of any library, or its name."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 Store: TypeAlias = Folder | Remote

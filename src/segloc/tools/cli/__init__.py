@@ -9,6 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ...errors import SeglocError
+from ...system.text import one_line
 from .verbs import ORDER, VERSION, program
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def main() -> None:
             _end_interrupted()
         if not isinstance(error, (SeglocError, OSError, MemoryError)):
             raise
-        print(f"segloc: error: {_one_line(error)}", file=sys.stderr)
+        print(f"segloc: error: {_message(error)}", file=sys.stderr)
         sys.exit(1)
 
 
@@ -76,10 +77,10 @@ def _end_interrupted() -> NoReturn:
     sys.exit(_INTERRUPTED)
 
 
-def _one_line(error: Exception) -> str:
+def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror.lower()}"
     if isinstance(error, MemoryError):
         return "out of memory"
-    return " ".join(str(error).split()) or type(error).__name__
+    return one_line(error)

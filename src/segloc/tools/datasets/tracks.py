@@ -16,7 +16,7 @@ from ...errors import DatasetError
 from ...motion import interpolated
 from ...system.budget import check_points
 from ...types import Float64, Int64, Pose
-from ..io.fields import one_line
+from ..io.fields import brief
 from ..io.pose_files import read_pose_file
 from ..io.scans import read_file
 from ..io.trajectory import implausible, rigid_poses
@@ -231,7 +231,7 @@ def read_table(
         chosen = [names.index(c) if isinstance(c, str) else c for c in columns]
         return np.loadtxt(rows, delimiter=separator, usecols=chosen, ndmin=2)
     except (DatasetError, ValueError, MemoryError) as error:
-        raise DatasetError(f"{path}: {one_line(error)}") from error
+        raise DatasetError(f"{path}: {brief(error)}") from error
 
 
 def euler_poses(xyz: Float64, angles: Float64) -> Float64:

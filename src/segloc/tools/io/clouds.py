@@ -18,7 +18,7 @@ from ...system.files import CLOUD_SUFFIXES
 from ...system.files import is_cloud as is_cloud
 from ...types import Float64
 from . import pcd, ply
-from .fields import MAX_HEADER_BYTES, PointLayout, column, faults_of, one_line, require_points
+from .fields import MAX_HEADER_BYTES, PointLayout, brief, column, faults_of, require_points
 from .las import las_parts, point_count
 from .npy import as_points, parse_array
 from .scans import natural_key, read_file, read_scan, scan_suffix
@@ -250,4 +250,4 @@ def _of_e57(function: str, path: Path) -> Any:
     except BaseException as error:  # of Rust, some no Exception
         if isinstance(error, (MemoryError, KeyboardInterrupt)):
             raise
-        raise DatasetError(f"cannot read the E57 file: {one_line(error)}") from error
+        raise DatasetError(f"cannot read the E57 file: {brief(error)}") from error

@@ -13,6 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from ...errors import DatasetError, InvalidScan
 from ...system.budget import check_points
 from ...system.checks import axis_fields
+from ...system.text import one_line
 from ...types import Scan
 from .point_times import time_field, time_scale, times_of
 
@@ -28,9 +29,9 @@ def header_lines(data: bytes) -> Iterator[tuple[list[str], int]]:
         start = end + 1
 
 
-def one_line(error: object) -> str:
+def brief(error: object) -> str:
     """Return an error's text on one line of at most 120 characters."""
-    return " ".join(str(error).split())[:120] or type(error).__name__
+    return one_line(error)[:120]
 
 
 @contextmanager

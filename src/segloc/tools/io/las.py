@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...errors import DatasetError, requires
 from ...system.budget import check_points
 from ...types import Float32, Float64, Scan
-from .fields import one_line, require_points
+from .fields import brief, require_points
 from .text import Mapped
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ def _reading(data: Mapped, stream: BinaryIO, header: _Header) -> Iterator[laspy.
             raise
         raise DatasetError(
             f"cannot decode the {header.points} points that the header promises "
-            f"({one_line(error)}): copy the file again"
+            f"({brief(error)}): copy the file again"
         ) from error
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...errors import DatasetError
 from ...system.budget import check_bytes, check_points, most_points
 from ...types import Float32, Float64, Scan
-from .fields import one_line, require_bytes
+from .fields import brief, require_bytes
 
 _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(r"'descr': *'([<>|=][fiu]\d{1,2})'")
@@ -93,7 +93,7 @@ def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any]
     except DatasetError:
         raise
     except Exception as error:  # zipfile raises many kinds on damaged bytes
-        raise DatasetError(f"not a readable NPZ archive: {one_line(error)}") from error
+        raise DatasetError(f"not a readable NPZ archive: {brief(error)}") from error
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:

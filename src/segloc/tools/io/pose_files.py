@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ...errors import DatasetError
 from ...system.budget import check_points
 from ...types import Float64
-from .fields import faults_of, one_line
+from .fields import brief, faults_of
 from .npy import parse_array
 from .pcd import parse_fields
 from .scans import read_file
@@ -287,7 +287,7 @@ def _from_g2o(data: bytes) -> _Table:
                 values = [x, y, 0.0, 0.0, 0.0, float(np.sin(turn / 2)), float(np.cos(turn / 2))]
             x, y, z, qx, qy, qz, qw = values
         except (ValueError, IndexError) as error:
-            raise DatasetError(f"line {k}: not a vertex: {one_line(line)}") from error
+            raise DatasetError(f"line {k}: not a vertex: {brief(line)}") from error
         if number in rows:
             raise DatasetError(f"line {k}: two vertices have the number {number}")
         rows[number] = [number, x, y, z, qx, qy, qz, qw], k
@@ -400,7 +400,7 @@ def _raise_first_fault(
                 np.loadtxt([word], comments=None)
             except ValueError as error:
                 raise DatasetError(
-                    f"line {line}: could not convert string to float: {one_line(repr(word))}"
+                    f"line {line}: could not convert string to float: {brief(repr(word))}"
                 ) from error
     raise DatasetError("cannot parse the poses")
 

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import DatasetError
 from ...system.budget import check_points
 from ...types import Float32, Float64, Scan
-from .fields import one_line, require_points, scan_from_columns, wanted_columns
+from .fields import brief, require_points, scan_from_columns, wanted_columns
 from .point_times import time_scale
 
 Mapped = bytes | mmap.mmap
@@ -128,7 +128,7 @@ def _tables(
             table = _load(lines, columns, delimiter)
         except ValueError as error:
             after = f" after row {count}" if count else ""
-            raise DatasetError(f"cannot parse the points{after}: {one_line(error)}") from error
+            raise DatasetError(f"cannot parse the points{after}: {brief(error)}") from error
         count, last = count + len(lines), lines[-1]
         yield table
     if not count:

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import DatasetError
 from ...system.budget import check_points
 from ...types import Scan
-from .fields import column, header_lines, one_line, parse_count, require_bytes, scan_from_columns
+from .fields import brief, column, header_lines, parse_count, require_bytes, scan_from_columns
 from .text import plain_nan
 
 _TYPES = {
@@ -71,7 +71,7 @@ def _parse_ascii(data: bytes, count: int) -> Scan:
         # Without a count: given a count and too few numbers, NumPy returns uninitialised memory.
         values = np.fromstring(data[: end.start()] if end else data, dtype=np.float64, sep=" ")
     except (ValueError, DeprecationWarning) as error:  # depends on NumPy's version
-        raise DatasetError(f"cannot parse the points: {one_line(error)}") from error
+        raise DatasetError(f"cannot parse the points: {brief(error)}") from error
     if len(values) < 3 * count:
         raise DatasetError(f"{count} points need {3 * count} numbers, only {len(values)} are there")
     return scan_from_columns(list(values[: 3 * count].reshape(-1, 3).T))

@@ -15,7 +15,7 @@ import numpy as np
 
 from ....errors import DatasetError
 from ....types import Float64
-from ...io.fields import one_line
+from ...io.fields import brief
 from ...io.kitti_bin import parse_nuscenes
 from ..layout import choose
 from ..recorded import FileSource, Found
@@ -91,7 +91,7 @@ def _table(folder: Path, name: str) -> list[Row]:
     try:
         rows = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{path}: {one_line(error)}") from error
+        raise DatasetError(f"{path}: {brief(error)}") from error
     except MemoryError as error:
         raise DatasetError(f"{path}: not enough memory to read it") from error
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):

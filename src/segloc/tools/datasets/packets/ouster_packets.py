@@ -19,7 +19,7 @@ from .... import geometry
 from ....errors import DatasetError
 from ....system.budget import check_points, most_points
 from ....types import Float64, Int64, Pose, Scan
-from ...io.fields import one_line
+from ...io.fields import brief
 from ..layout import drop_missing_returns
 
 LEGACY = "LEGACY"
@@ -189,7 +189,7 @@ def read_sensor(text: bytes | str, where: str) -> Sensor:
     except DatasetError as error:
         raise DatasetError(f"{where}: {error}") from error
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise DatasetError(f"{where}: not Ouster metadata: {one_line(error)}") from error
+        raise DatasetError(f"{where}: not Ouster metadata: {brief(error)}") from error
 
 
 def _flat(document: Any) -> dict[str, Any]:

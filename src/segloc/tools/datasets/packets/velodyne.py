@@ -15,7 +15,7 @@ import numpy as np
 from ....errors import DatasetError, requires
 from ....system.budget import check_points
 from ....types import Float64, Int64, Scan
-from ...io.fields import faults_of, one_line
+from ...io.fields import brief, faults_of
 from ..layout import choose, drop_missing_returns
 from ..recorded import Found
 from .captures import datagrams, map_file
@@ -168,7 +168,7 @@ def decode(packets: Sequence[tuple[float, bytes]], where: str, model: str | None
             vector.append(velodyne_decoder.VelodynePacket(stamp, named))
         points: Any = np.asarray(decoder.decode(vector)[1])
     except (RuntimeError, ValueError, TypeError) as error:
-        raise DatasetError(f"{where}: {one_line(error)}") from error
+        raise DatasetError(f"{where}: {brief(error)}") from error
     return drop_missing_returns(points[:, :3], points[:, 4].astype(np.float64))
 
 

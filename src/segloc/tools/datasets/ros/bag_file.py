@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ....errors import DatasetError, MissingDependency, SeglocError, requires
 from ...io import fields
-from ...io.fields import one_line
+from ...io.fields import brief
 from .bag_metadata import MAX_METADATA_BYTES, check_metadata
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def faults_of(path: Path) -> Iterator[None]:
             raise
         except Exception as error:
             raise DatasetError(
-                f"unreadable as a bag: {one_line(error)}{remedy(path, error)}"
+                f"unreadable as a bag: {brief(error)}{remedy(path, error)}"
             ) from error
 
 
@@ -126,7 +126,7 @@ def optional(what: str, remarks: list[str]) -> Iterator[None]:
     except MemoryError:
         raise
     except Exception as error:
-        text = str(error) if isinstance(error, SeglocError) else f"{what}: {one_line(error)}"
+        text = str(error) if isinstance(error, SeglocError) else f"{what}: {brief(error)}"
         remarks.append(f"{text}: not used")
 
 
