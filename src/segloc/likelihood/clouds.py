@@ -8,7 +8,7 @@ from typing import Protocol
 from ..frontend.segmentation import Segmentation
 from ..localization import NextView
 from ..types import Pose
-from .observation import Aligned, Observation, QueryCloud
+from .observation import Aligned, Observation, QueryCloud, Walls
 
 
 class Clouds(Protocol):
@@ -27,6 +27,8 @@ class Clouds(Protocol):
     def measured(
         self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None
     ) -> Observation: ...
+
+    def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls: ...
 
     def finest(self, fit: Observation, query: QueryCloud) -> Observation: ...
 

@@ -187,12 +187,15 @@ class QueryCloud:
         Alignments so far, by their start and its frame.
     rough : dict
         Rough overlaps so far, by pose.
+    walls : dict
+        Walls at poses so far, by pose and its frame.
     """
 
     def __init__(self, scene: Segmentation, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, _POINTS)
         self.aligned: dict[bytes, Alignment | None] = {}
         self.rough: dict[bytes, float] = {}
+        self.walls: dict[bytes, Walls] = {}
         self._scene, self._aligner = scene, aligner
         self._image: _native.VisibilityCheck | None = None
         self._storey: tuple[float, float] | None = None
@@ -361,6 +364,17 @@ class MapCloud:
             ground=_within(level, _GROUND_TOLERANCE_M),
             walls=walls,
         )
+
+    def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls:
+        """Compare the walls of a query at a pose, where it is.
+
+        Each is measured once.
+        """
+        T = self._relative(T_map_local)
+        key = self._origin.tobytes() + T.tobytes()
+        if key not in query.walls:
+            query.walls[key] = self._walls(query, T)[1]
+        return query.walls[key]
 
     def finest(self, fit: Observation, query: QueryCloud) -> Observation:
         """Return a fit, aligned as dense as the map if that tells more than one with open turns.

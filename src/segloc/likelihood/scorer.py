@@ -14,6 +14,7 @@ from ..types import Bools, Candidate, Float64, Pose
 from .clouds import Clouds
 from .config import VerificationConfig
 from .model import (
+    CHANCE_WALLS,
     Model,
     aligned_measures,
     as_by_chance,
@@ -25,7 +26,7 @@ from .model import (
     walls_over,
 )
 from .nearby import MOST_BESIDE
-from .observation import Aligned, Observation, QueryCloud
+from .observation import Aligned, Observation, QueryCloud, Walls
 from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_PLACES = 8
@@ -36,8 +37,10 @@ _FIRST = 2
 """Candidates of each proposer that are aligned, by its own order: in offices, places that overlap
 more may leave out the right one, which a thorough search finds."""
 _FEW_RIVALS = 3
-"""Places that overlap most, with which a pose is compared first."""
+"""Places that overlap most: a pose is compared with them first, and its walls with theirs alone."""
 
+Rival = tuple[Pose, tuple[float, ...]]
+"""A place T_map_local with which others are compared, and its :func:`aligned_measures`."""
 Inliers = Callable[[Pose], int]
 """Counts the distinct query segments that agree with a pose T_map_local."""
 Allowed = Callable[[Pose], bool]
@@ -134,6 +137,8 @@ class Trial:
         After alignment with all points.
     finest : Observation or None
         The same at the most accurate pose, once it competes.
+    beside : Walls or None
+        Walls of another place, or of chance: those over which the fit's have least.
     scored : ScoredPose or None
         Score of the fit beside the other places.
     rough, promise : float
@@ -148,6 +153,7 @@ class Trial:
     aligned: Aligned | None = None
     fit: Observation | None = None
     finest: Observation | None = None
+    beside: Walls | None = None
     scored: ScoredPose | None = None
     rough: float = -math.inf
     promise: float = -math.inf
@@ -186,8 +192,7 @@ class Scorer:
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._first = np.empty((0, 4, 4))
-        self._rivals: list[tuple[Pose, tuple[float, ...]]] = []
-        self._compared: dict[tuple[Observation, Observation], float] = {}
+        self._rivals: list[Rival] = []
         self.places: list[Trial] = []
 
     def add(self, candidates: Sequence[Candidate], known: Sequence[Pose] = ()) -> None:
@@ -234,27 +239,30 @@ class Scorer:
         """Measure places until it is unlikely that any other competes; return the posterior.
 
         More rivals than those that overlap most are met unless one place is as sure as can be: of
-        5000 such places of the fit none was refused beside all rivals. ``thorough`` measures the
+        5700 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
         first = self._begin()
-        if first is not None and not thorough:
-            # What a view says of known poses was fitted beside rivals that were met.
-            known = any(place.known is not None for place in self.places)
-            stages = (0, self._sure), (_FEW_RIVALS, -self._threshold)
-            for rivals, least in stages[1:] if known else stages:
-                if first.promise >= least and self._try_beside(rivals):
-                    return self.posterior()
-        self._meet(self._promising())
-        self._decide(thorough)
+        if thorough or not self._is_sure(first, -self._threshold):
+            self._meet(self._promising())
+            self._decide(thorough)
         return self.posterior()
 
     def measure_at_once(self) -> Posterior | None:
         """Measure the most promising place beside few; None if it is not as sure as can be."""
-        first = self._begin()
-        if first is None or first.promise < self._threshold or not self._try_beside(_FEW_RIVALS):
-            return None
-        return self.posterior()
+        return self.posterior() if self._is_sure(self._begin(), self._threshold) else None
+
+    def _is_sure(self, first: Trial | None, least: float) -> bool:
+        """Measure beside few rivals; return whether a place is as sure as can be.
+
+        Nothing is measured if the ``first`` place promises less than ``least``.
+        """
+        # What a view says of known poses was fitted beside rivals that were met.
+        known = any(place.known is not None for place in self.places)
+        stages = [(_FEW_RIVALS, least)] if known else [(0, self._sure), (_FEW_RIVALS, least)]
+        return first is not None and any(
+            first.promise >= needed and self._try_beside(rivals) for rivals, needed in stages
+        )
 
     def _promising(self) -> list[Trial]:
         """Return the places to align: known ones and the first of each proposer, then others."""
@@ -278,7 +286,10 @@ class Scorer:
         self._decide()
         leader = self._leader()
         if leader is not None and leader.log_ratio >= self._sure:
-            return True
+            met = np.array([T for T, _ in self._rivals]).reshape(-1, 4, 4)
+            apart = self._separation.apart_from(leader.T_map_local[None], met)
+            if int(apart.sum()) >= rivals - 1:  # one may be itself, more may have become it
+                return True
         self.places, self._surrounded = places, surrounded
         return False
 
@@ -462,18 +473,19 @@ class Scorer:
             assert place.fit is not None and place.aligned is not None
             others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
             inliers = max([elsewhere[k], *(other.inliers for other in others)])
-            against = [self._walls_over(place.fit, other) for other in others]
-            walls = min([walls_over(place.fit.walls), *against])
-            rivals = [m for (_, m), away in zip(met, rival_apart[k], strict=True) if away]
+            rivals = [rival for rival, away in zip(met, rival_apart[k], strict=True) if away]
             overlap, _ = aligned_measures(place.aligned)
-            features = features_of(place.fit, overlap, rivals, inliers, walls)
+            place.beside = self._walls_beside(place.fit, rivals if self._rivals else [])
+            walls = walls_over(place.fit.walls, place.beside)
+            measures = [measured for _, measured in rivals]
+            features = features_of(place.fit, overlap, measures, inliers, walls)
             place.scored = self._likelihood.scored(place.fit, features)
 
-    def _walls_over(self, fit: Observation, other: Observation) -> float:
-        """Compare the walls of two fits, once."""
-        if (fit, other) not in self._compared:
-            self._compared[fit, other] = walls_over(fit.walls, other.walls)
-        return self._compared[fit, other]
+    def _walls_beside(self, fit: Observation, rivals: Sequence[Rival]) -> Walls:
+        """Return the walls of chance, or of one of the best rivals, over which a fit has least."""
+        best = sorted(rivals, key=lambda rival: -rival[1][0])[:_FEW_RIVALS]
+        there = [self._map.walls(T, self._query) for T, _ in best]
+        return min((CHANCE_WALLS, *there), key=lambda other: walls_over(fit.walls, other))
 
     def _most_elsewhere(self, poses: Float64) -> list[int]:
         """Return the most inliers of any candidate at another place than each of (N, 4, 4)."""

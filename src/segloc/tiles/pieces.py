@@ -12,7 +12,7 @@ from ..config import Config
 from ..frontend.segmentation import Segmentation
 from ..geometry import cells_of
 from ..likelihood import Likelihood, shipped_model
-from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud, aligner
+from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud, Walls, aligner
 from ..localization import NextView
 from ..localizer import cloud_of
 from ..map.segment_map import SegmentMap
@@ -148,6 +148,10 @@ class TiledCloud:
     ) -> Observation:
         """Align a query from a pose, and compare it, as in one map."""
         return self._at(T_map_local, query).measured(T_map_local, query, known)
+
+    def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls:
+        """Compare the walls of a query at a pose, as in one map."""
+        return self._at(T_map_local, query).walls(T_map_local, query)
 
     def finest(self, fit: Observation, query: QueryCloud) -> Observation:
         """Return a fit, aligned as dense as the map where that tells more."""

@@ -65,8 +65,8 @@ MEASURES = (
     *ALIGNED,
 )
 """Columns of the fits: error of the pose (NaN in maps of other places), segments that agree with it
-and at most with a pose elsewhere, counts of points with their totals, walls against those of the
-other poses, and what was known before the measurement."""
+and at most with a pose elsewhere, counts of points with their totals, walls over those of other
+places, and what was known before the measurement."""
 DECIMALS = {"error_deg": 1} | dict.fromkeys(("error_m", "walls", *ROUGH, *ALIGNED), 2)
 """Decimals that are kept of measures that are no counts."""
 
@@ -212,13 +212,13 @@ def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
     rows = []
     for place in places:
         T, fit = place.T_map_local, place.fit
-        assert fit is not None and place.aligned is not None
+        assert fit is not None and place.aligned is not None and place.beside is not None
         error = errors(T @ query.cloud.T_local_sensor, truth)
         far = [p.fit for p in places if p.fit is not None and apart(p.T_map_local, T)]
         elsewhere = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
         most = max([*elsewhere, *(other.inliers for other in far)], default=0)
         counts = (*fit.seen, *fit.ground, *fit.on_surface, *fit.known, *fit.inside)
-        walls = min([walls_over(fit.walls), *(walls_over(fit.walls, o.walls) for o in far)])
+        walls = walls_over(fit.walls, place.beside)
         before = (*place.measures, *aligned_measures(place.aligned))
         rows.append((*error, fit.inliers, most, *counts, walls, *before))
     return np.array(rows, np.float64).reshape(-1, len(MEASURES))

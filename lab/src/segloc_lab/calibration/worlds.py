@@ -54,7 +54,7 @@ MAX_THINNED = 6_400
 """Points of a thinned scan."""
 NARROW_DEG, SHORT_M = (20.0, 90.0), (5.0, 10.0, 20.0, 40.0)
 """Fields of view and ranges of narrow views [deg, m]."""
-BARE_VIEWS = 4
+BARE_VIEWS = 10
 """Made views of each kind in a world."""
 SCANS_IN_MEMORY = 64
 LATER = Conditions(foliage=0.6, replaced=0.2)

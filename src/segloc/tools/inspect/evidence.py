@@ -21,7 +21,6 @@ from ...likelihood import (
     by_name,
     features_of,
     wall_differences,
-    walls_over,
 )
 from ...likelihood.model import CHANCE_RIVAL, as_by_chance, free_space, known_odds
 from ...pipeline import Search
@@ -208,8 +207,9 @@ def _describe_fit(found: Search, fit: Observation) -> dict[str, str]:
     words["segments"] = quantity(fit.inliers, "segments", "agree") + (
         f"; {inliers} elsewhere" if inliers > _CHANCE_INLIERS else f"; {_CHANCE_INLIERS} by chance"
     )
-    walls = [other.walls for other in found.fits if other is not fit]
-    words["wall by wall"] = _walls(fit.walls, walls)
+    beside = next(place.beside for place in found.places if place.fit is fit)
+    assert beside is not None  # the posterior has what was scored
+    words["wall by wall"] = _walls(fit.walls, beside)
     return words
 
 
@@ -218,14 +218,13 @@ def _elsewhere(share: float, by_chance: float) -> str:
     return f"; {share:.0%} elsewhere" if share > by_chance else f"; {by_chance:.0%} by chance"
 
 
-def _walls(here: Walls, others: Sequence[Walls]) -> str:
-    """Count the patches of walls that tell a pose from the place that explains them best."""
+def _walls(here: Walls, beside: Walls) -> str:
+    """Count the patches of walls that tell a pose from another place, or from chance."""
     known = int((here.weight > 0.0).sum())
     if not known:
         return "not measured: the map knows nothing about the walls of the query"
-    compared = min((CHANCE_WALLS, *others), key=lambda other: walls_over(here, other))
-    better, worse = _count_differing(here, compared)
-    than = "by chance" if compared is CHANCE_WALLS else "elsewhere"
+    better, worse = _count_differing(here, beside)
+    than = "by chance" if beside is CHANCE_WALLS else "elsewhere"
     return f"of {quantity(known, 'pieces')} of wall {better} fit better than {than}, {worse} worse"
 
 
