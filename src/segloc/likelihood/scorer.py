@@ -484,8 +484,21 @@ class Scorer:
     def _walls_beside(self, fit: Observation, rivals: Sequence[Rival]) -> Walls:
         """Return the walls of chance, or of one of the best rivals, over which a fit has least."""
         best = sorted(rivals, key=lambda rival: -rival[1][0])[:_FEW_RIVALS]
-        there = [self._map.walls(T, self._query) for T, _ in best]
+        there = [self._walls_at(T) for T, _ in best]
         return min((CHANCE_WALLS, *there), key=lambda other: walls_over(fit.walls, other))
+
+    def _walls_at(self, T_map_local: Pose) -> Walls:
+        """Return the walls where a place is aligned; measured to the end if it may compete.
+
+        Alignments with some of the points err by centimetres, which must not tell copies apart.
+        """
+        for place in self.places:
+            may_compete = place.known is not None or place.promise >= -self._threshold
+            if place.fit is None or not may_compete:
+                continue
+            if not self._separation.apart(place.T_map_local, T_map_local):
+                return place.fit.walls
+        return self._map.walls(T_map_local, self._query)
 
     def _most_elsewhere(self, poses: Float64) -> list[int]:
         """Return the most inliers of any candidate at another place than each of (N, 4, 4)."""

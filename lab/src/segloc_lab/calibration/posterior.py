@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -106,6 +106,8 @@ class Records:
         Whether there is a pose, whether it is right, and whether it would be a false answer.
     world, kind, place : (R,)
         Number and kind of the world, name of the map.
+    counts : (R,) float64
+        How often each counts in the fit.
     """
 
     features: Float64
@@ -116,13 +118,13 @@ class Records:
     world: Int64
     kind: NDArray[np.str_]
     place: NDArray[np.str_]
+    counts: Float64
 
     def __len__(self) -> int:
         return len(self.world)
 
     def __getitem__(self, chosen: Mask) -> Records:
-        names = ("features", "before", "poses", "right", "false", "world", "kind", "place")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+        return replace(self, **{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     @property
     def found_at(self) -> Int64:
@@ -136,11 +138,12 @@ def without_ground(records: Records) -> Records:
     """Drop what ground says, as in maps without any, and what the extent of a map says.
 
     Maps without ground are finished clouds: they lack more of their places than those of the rows
-    do, and hold what nothing on the path saw.
+    do, and hold what nothing on the path saw. Made views are not believed there if each counts
+    once.
     """
     features = records.features.copy()
     features[..., [FEATURES.index(name) for name in ("ground", "overlap", "in_view")]] = 0.0
-    return replace(records, features=features)
+    return replace(records, features=features, counts=np.minimum(records.counts, 1.0))
 
 
 def records_of(rows: Rows) -> Records:
@@ -158,7 +161,9 @@ def records_of(rows: Rows) -> Records:
     names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
     world = np.array([names[name] for name in rows.world])
     kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])
-    return Records(features, before, poses, right, false, world, kind, rows.place)
+    counts = np.where(rows.place == BARE, MADE_COUNTS, 1.0)
+    records = Records(features, before, poses, right, false, world, kind, rows.place, counts)
+    return replace(records, counts=counts * told_apart(records))
 
 
 def described(rows: Float32) -> Float64:
@@ -216,15 +221,14 @@ def fit(records: Records, start: Float64 | None = None) -> Float64:
     rows, most = np.arange(len(records)), records.poses.shape[1]
     chosen = np.zeros((len(records), most + 1))
     chosen[rows, target] = 1.0
-    counts = np.where(records.place == BARE, MADE_COUNTS, 1.0) * told_apart(records)
 
     def loss(w: Float64) -> tuple[float, Float64]:
         scores = _scores(records, w)
         total = logsumexp(scores, axis=1)
-        excess = counts[:, None] * (np.exp(scores - total[:, None]) - chosen)
+        excess = records.counts[:, None] * (np.exp(scores - total[:, None]) - chosen)
         slope = np.einsum("rm,rmk->k", excess[:, :most], records.features)
         modest = np.append(w[:-1], 0.0)
-        value = float(counts @ (total - scores[rows, target]) + RIDGE * (modest**2).sum())
+        value = float(records.counts @ (total - scores[rows, target]) + RIDGE * (modest**2).sum())
         return value, np.append(slope, excess[:, most].sum()) + 2 * RIDGE * modest
 
     start = np.zeros(len(FEATURES) + 1) if start is None else start
