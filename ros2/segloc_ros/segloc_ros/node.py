@@ -31,7 +31,6 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import Empty, Trigger
 
 from segloc import Prior, SeglocError
-from segloc.system.text import one_line
 
 from .bond_port import BondPort
 from .core.diagnosis import diagnose
@@ -64,6 +63,11 @@ REFUSALS = (
     SeglocError, ImportError, NameValidationException, ParameterException,
     rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError,
 )  # fmt: skip
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error, without line breaks."""
+    return " ".join(str(error).split())
 
 
 def _message_type(name: str) -> Any:
