@@ -188,7 +188,7 @@ class QueryCloud:
     rough : dict
         Rough overlaps so far, by pose.
     walls : dict
-        Walls at poses so far, by pose and its frame.
+        Walls compared already, by the pose and the origin of the map.
     """
 
     def __init__(self, scene: Segmentation, aligner: Aligner) -> None:
@@ -371,7 +371,7 @@ class MapCloud:
         Each is measured once.
         """
         T = self._relative(T_map_local)
-        key = self._origin.tobytes() + T.tobytes()
+        key = self._key(T)
         if key not in query.walls:
             query.walls[key] = self._walls(query, T)[1]
         return query.walls[key]
@@ -441,7 +441,7 @@ class MapCloud:
         """Align the clouds; None if ICP fails or moves too far from T."""
         if not self._refine:
             return None
-        key = self._origin.tobytes() + T.tobytes() + bytes([roughly])
+        key = self._key(T) + bytes([roughly])
         if key not in query.aligned:
             clouds = self._target.surface, query.surface
             query.aligned[key] = self._aligner.align(*clouds, T, roughly=roughly)
@@ -449,6 +449,10 @@ class MapCloud:
         if found is None or found.shift_m(T) > self._separation.metres:
             return None
         return found
+
+    def _key(self, T: Pose) -> bytes:
+        """Return the key of a pose relative to the origin, which differs between tiles."""
+        return self._origin.tobytes() + T.tobytes()
 
     def _relative(self, T_map_local: Pose) -> Pose:
         return geometry.rigid(T_map_local[:3, :3], T_map_local[:3, 3] - self._origin)

@@ -138,7 +138,7 @@ class Trial:
     finest : Observation or None
         The same at the most accurate pose, once it competes.
     beside : Walls or None
-        Walls of another place, or of chance: those over which the fit's have least.
+        Walls with which those of the fit are compared: of another place, or of chance.
     scored : ScoredPose or None
         Score of the fit beside the other places.
     rough, promise : float
@@ -239,7 +239,7 @@ class Scorer:
         """Measure places until it is unlikely that any other competes; return the posterior.
 
         More rivals than those that overlap most are met unless one place is as sure as can be: of
-        5700 such places of the fit none was refused beside all rivals. ``thorough`` measures the
+        5800 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
         first = self._begin()
