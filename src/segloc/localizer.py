@@ -225,9 +225,8 @@ class Localizer:
     ) -> Search:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
-        Without a prior, a pose at first sight is accepted if it is as sure as can be. Else segments
-        are matched; if they are inconclusive, the proposers are used, in order, until a place is
-        accepted.
+        A pose at first sight is accepted if it is as sure as can be. Else segments are matched; if
+        they are inconclusive, the proposers are used, in order, until a place is accepted.
 
         Parameters
         ----------
@@ -244,8 +243,8 @@ class Localizer:
         times = times or StageTimes(self.clock)
         is_near, min_confidence = allowed(near), self.config.verification.min_confidence
         query_cloud = self.likelihood.query(query.scene)
-        if near is None and not (known or thorough):  # near a prior, matching takes less
-            seen = self._at_first_sight(query, query_cloud, times)
+        if not (known or thorough):
+            seen = self._at_first_sight(query, query_cloud, times, near)
             if seen is not None and seen.reason is None:
                 return seen
         rough = near and near.widened(self.config.pose.separation)
@@ -280,7 +279,7 @@ class Localizer:
         return self.likelihood.compared(self.likelihood.query(scene), known)
 
     def _at_first_sight(
-        self, query: Query, query_cloud: QueryCloud, times: StageTimes
+        self, query: Query, query_cloud: QueryCloud, times: StageTimes, near: Prior | None
     ) -> Search | None:
         """Return the result if a place at first sight is as sure as can be; else None.
 
@@ -289,12 +288,12 @@ class Localizer:
         if self.first_sight is None:
             return None
         with times("pose"):
-            proposed = self.first_sight.propose(query)
+            proposed = self.first_sight.propose(query, near)
         if not proposed:
             return None
         candidates = [replace(c, proposer=self.first_sight.name) for c in proposed]
         with times("verification"):
-            scorer = self.likelihood.scorer(query_cloud)
+            scorer = self.likelihood.scorer(query_cloud, allowed=allowed(near))
             scorer.add(candidates)
             posterior = scorer.measure_at_once()
         if posterior is None:
@@ -307,6 +306,7 @@ class Localizer:
             replace(posterior, places=places),
             scorer.places,
             self.config.verification.min_confidence,
+            near,
         )
 
     def _agreed(self, query: Query, times: StageTimes, near: Prior | None) -> Agreed:

@@ -44,6 +44,7 @@ def observed(
     ground: float = 0.95,
     inside: float = 0.005,
     walls: float = 0.8,
+    planes: float = 0.4,
 ) -> Observation:
     n = round(2000 * known)
     on = round(n * on_map)
@@ -58,6 +59,7 @@ def observed(
         on_surface=Count(round(900 * on_surface), 900),
         ground=Count(round(900 * ground), 900),
         walls=Walls(np.full(40, walls, np.float32), np.ones(40, np.float32)),
+        planes=Count(round(800 * planes), 800),
         inliers=inliers,
     )
 
@@ -78,6 +80,7 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
         log_ratio(observed(0.85, 0.95, on_surface=0.5), rival),
         log_ratio(observed(0.85, 0.95, ground=0.5), rival),
         log_ratio(observed(0.85, 0.95, walls=0.6), rival),
+        log_ratio(observed(0.85, 0.95, planes=0.9), rival),
         log_ratio(observed(0.85, 0.95), rival, inliers=7),
         log_ratio(observed(0.85, 0.95), [observed(0.85, 0.6, inliers=3, walls=0.4)]),
         log_ratio(observed(0.85, 0.95), [observed(0.5, 0.95, inliers=3, walls=0.4)]),

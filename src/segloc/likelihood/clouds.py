@@ -25,7 +25,12 @@ class Clouds(Protocol):
     ) -> Aligned: ...
 
     def measured(
-        self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None
+        self,
+        T_map_local: Pose,
+        query: QueryCloud,
+        known: Pose | None = None,
+        *,
+        align: bool = True,
     ) -> Observation: ...
 
     def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls: ...

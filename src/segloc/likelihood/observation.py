@@ -27,8 +27,9 @@ from .nearby import NearbySearch
 from .next_view import RADIUS_M, next_view
 from .registration import ERRORS, Aligner, Alignment, Target, thinned
 
-OVERLAP_M, _POINTS = 0.3, 2000
-"""Distance within which a query point lies on the map, and the most points compared."""
+OVERLAP_M, _POINTS, _SOME_POINTS = 0.3, 2000, 1000
+"""Distance within which a query point lies on the map, the most points compared, and those of them
+after an alignment with some."""
 _ROUGH_M, _ROUGH_POINTS = 0.5, 500
 """The same before alignment."""
 CHANCE = 0.25
@@ -38,7 +39,7 @@ _ICP_VOXEL_M, _ICP_M, _ICP_RANGE_M = 0.8, 1.5, 35.0
 SEEN_M, VIEW_M, VIEW_DEG, BEHIND_M = 0.4, 30.0, 2.0, 0.7
 """Largest distance of a seen map point from a query point, range of the map points compared, width
 of a pixel of the range image, and how far behind a point a ray violates free space."""
-_VIEW_POINTS = 3000
+_VIEW_POINTS = 1000
 """Most map points compared."""
 _FLUSH_M = 0.1
 """Largest distance of a point on a wall's surface."""
@@ -63,6 +64,8 @@ _CLOSE_M, _SUPPORT_M = 1.0, 0.75
 """Radii of close surfaces: to the nearest point, and to the points of its plane."""
 _WALL_PATCH_M, _INSIDE_PATCH_M = 3.0, 0.75
 """Sides of the patches of walls that are compared as one, and of the query in free space."""
+_PLANES, _PLANE_POINTS, _MAX_PLANES = 2, 800, 64
+"""Widest planes of a query that are found, of how many points, and by how many normals."""
 UNKNOWN, HIT, THROUGH, MISSED = range(4)
 """Codes of points: in unknown space, on the map, in free space, beside a surface."""
 _EXPLAINED_M = (0.04, 0.2)
@@ -153,7 +156,8 @@ class Observation(Aligned):
     rmse : float
         Root mean square distance of the pairs of the overlap [m].
     covariance : (6, 6) float64 or None
-        Covariance of rotation [rad], then translation [m], in the local frame. None if ICP failed.
+        Covariance of rotation [rad], then translation [m], in the local frame. None without
+        an alignment.
     known : Evidence
         Points of the structure.
     inside : Count
@@ -162,6 +166,8 @@ class Observation(Aligned):
         Wall points on the map's surfaces, of those near them or in free space; ground points on the
         map's ground.
     walls : Walls
+    planes : Count
+        Points of the structure on its two widest planes, wherever it is.
     inliers : int
         Number of distinct query segments that agree with the pose (one map segment each).
     """
@@ -173,6 +179,7 @@ class Observation(Aligned):
     on_surface: Count
     ground: Count
     walls: Walls
+    planes: Count
     inliers: int = 0
 
 
@@ -181,8 +188,8 @@ class QueryCloud:
 
     Attributes
     ----------
-    sample : (N, 3) float32
-        Points of the overlap.
+    sample, some, few : (N, 3) float32
+        Points of the overlap: all of them, and those after and before a rough alignment.
     aligned : dict
         Alignments so far, by their start and its frame.
     rough : dict
@@ -193,6 +200,8 @@ class QueryCloud:
 
     def __init__(self, scene: Segmentation, aligner: Aligner) -> None:
         self.sample = thinned(scene.structure, _POINTS)
+        self.some = thinned(self.sample, _SOME_POINTS)
+        self.few = thinned(self.sample, _ROUGH_POINTS)
         self.aligned: dict[bytes, Alignment | None] = {}
         self.rough: dict[bytes, float] = {}
         self.walls: dict[bytes, Walls] = {}
@@ -202,6 +211,7 @@ class QueryCloud:
         self._surface: _native.Surface | None = None
         self._close: tuple[_native.Surface, Float32, Int64] | None = None
         self._patches: Int64 | None = None
+        self._planes: Count | None = None
 
     @property
     def surface(self) -> _native.Surface:
@@ -229,6 +239,13 @@ class QueryCloud:
         if self._patches is None:
             self._patches = patches(self.sample, _INSIDE_PATCH_M)
         return self._patches
+
+    @property
+    def planes(self) -> Count:
+        """Points of the structure on its two widest planes; found once."""
+        if self._planes is None:
+            self._planes = _on_planes(self.close[0])
+        return self._planes
 
     def storey(self) -> tuple[float, float]:
         """Return the lowest and the highest z of the query's storey [m]."""
@@ -312,9 +329,8 @@ class MapCloud:
         keys = [T.tobytes() for T in poses]
         fresh = [k for k, key in enumerate(keys) if key not in query.rough]
         if fresh:
-            few = thinned(query.sample, _ROUGH_POINTS)
             there = np.stack([self._relative(poses[k]) for k in fresh])
-            overlap = self._target.index.overlap(few, there, _ROUGH_M, CHANCE)
+            overlap = self._target.index.overlap(query.few, there, _ROUGH_M, CHANCE)
             query.rough |= {keys[k]: float(o) for k, o in zip(fresh, overlap, strict=True)}
         return [query.rough[key] for key in keys]
 
@@ -336,17 +352,24 @@ class MapCloud:
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
         T, _ = self._from(T_map_local, query, known, roughly=True)
-        overlap = self._target.overlap(query.sample, T, OVERLAP_M)
+        overlap = self._target.overlap(query.some, T, OVERLAP_M)
         return Aligned(self._absolute(T), overlap, self._seen(query, T))
 
     def measured(
-        self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None
+        self,
+        T_map_local: Pose,
+        query: QueryCloud,
+        known: Pose | None = None,
+        *,
+        align: bool = True,
     ) -> Observation:
-        """Align a query from a pose, and compare it; at the pose itself if ICP fails.
+        """Align a query from a pose, and compare it; at the pose itself if not, or if ICP fails.
 
         An alignment that leaves the place of a ``known`` pose counts as failed, there.
         """
-        T, found = self._from(T_map_local, query, known, roughly=False)
+        T, found = self._relative(T_map_local), None
+        if align:
+            T, found = self._from(T_map_local, query, known, roughly=False)
         covariance = None if found is None else ERRORS.widened(found.covariance)
         overlap, rmse = self._target.overlap_rmse(query.sample, T, OVERLAP_M)
         codes = self._known.codes(query.sample, T, OVERLAP_M)
@@ -363,6 +386,7 @@ class MapCloud:
             on_surface=on_surface,
             ground=_within(level, _GROUND_TOLERANCE_M),
             walls=walls,
+            planes=query.planes,
         )
 
     def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls:
@@ -472,6 +496,23 @@ def patches(points: Float32, side_m: float) -> Int64:
     # One key a cube, in the order of x, y and z: rows take NumPy ten times as long.
     _, patch = np.unique((x << 42) + (y << 21) + z, return_inverse=True)
     return patch.reshape(-1)
+
+
+def _on_planes(surface: _native.Surface) -> Count:
+    """Count the points of a surface on its widest planes: those of some of its normals."""
+    points, normals = (
+        each(_MAX_SURFACE_POINTS) for each in (surface.sampled, surface.sampled_normals)
+    )
+    some = points[:: 1 + len(points) // _PLANE_POINTS].astype(np.float64)
+    flat = np.flatnonzero(normals.any(axis=1))
+    flat = flat[:: 1 + len(flat) // _MAX_PLANES]
+    # Not by BLAS, whose rounding depends on its threads.
+    off = np.einsum("ni,ki->nk", some, normals[flat])
+    off -= np.einsum("ki,ki->k", points[flat], normals[flat])
+    near, on = np.abs(off) < _FLUSH_M, np.zeros(len(some), bool)
+    for _ in range(_PLANES if len(flat) else 0):
+        on |= near[:, (near & ~on[:, None]).sum(axis=0).argmax()]
+    return Count(int(on.sum()), len(some))
 
 
 def _inside(codes: np.ndarray, patch: Int64) -> Count:

@@ -189,6 +189,7 @@ class Scorer:
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
         self._sure = log_odds(1.0 - self._model.lapse)
+        self._least = -self._threshold
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._first = np.empty((0, 4, 4))
@@ -239,9 +240,10 @@ class Scorer:
         """Measure places until it is unlikely that any other competes; return the posterior.
 
         More rivals than those that overlap most are met unless one place is as sure as can be: of
-        5800 such places of the fit none was refused beside all rivals. ``thorough`` measures the
+        5688 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
+        self._least = -math.inf if thorough else -self._threshold
         first = self._begin()
         if thorough or not self._is_sure(first, -self._threshold):
             self._meet(self._promising())
@@ -339,7 +341,7 @@ class Scorer:
     def _decide(self, thorough: bool = False) -> None:
         """Measure places, the most promising first, until none other is likely to compete."""
         while (place := self._next(thorough)) is not None:
-            self._advance(place)
+            self._advance(place, thorough)
             leader = self._leader()
             if leader is None:
                 continue
@@ -371,17 +373,24 @@ class Scorer:
             ]
         return max(left, key=lambda place: place.promise, default=None)
 
-    def _advance(self, place: Trial) -> None:
-        """Measure a place more exactly; one that meets another place is the same."""
+    def _advance(self, place: Trial, thorough: bool) -> None:
+        """Measure a place more exactly; a hopeless one where it is, unless it then may compete."""
         if place.aligned is None:
             self._align(place)
-        else:
-            fit = self._map.measured(place.T_map_local, self._query, place.known)
-            place.fit, place.T_map_local = fit, fit.T_map_local
-            self._count(place)
+            self._merge(place)
+            return
+        hopeless = not thorough and place.known is None and place.promise < -self._threshold
+        self._measure(place, align=not hopeless)
+        if hopeless and place.log_ratio >= -self._threshold:
+            self._measure(place)
+
+    def _measure(self, place: Trial, *, align: bool = True) -> None:
+        """Measure a place to the end; one that meets another place is the same."""
+        fit = self._map.measured(place.T_map_local, self._query, place.known, align=align)
+        place.fit, place.T_map_local = fit, fit.T_map_local
+        self._count(place)
         self._merge(place)
-        if place.fit is not None:
-            self._score()
+        self._score()
 
     def _align(self, place: Trial) -> Aligned:
         """Align a place with some of the points, once."""
@@ -470,16 +479,22 @@ class Scorer:
         ]
         rival_apart = self._separation.apart_from(poses, np.stack([T for T, _ in met]))
         for k, place in enumerate(done):
-            assert place.fit is not None and place.aligned is not None
+            assert place.fit is not None
             others = [o.fit for o, away in zip(done, apart[k], strict=True) if away and o.fit]
             inliers = max([elsewhere[k], *(other.inliers for other in others)])
             rivals = [rival for rival, away in zip(met, rival_apart[k], strict=True) if away]
-            overlap, _ = aligned_measures(place.aligned)
-            place.beside = self._walls_beside(place.fit, rivals if self._rivals else [])
-            walls = walls_over(place.fit.walls, place.beside)
-            measures = [measured for _, measured in rivals]
-            features = features_of(place.fit, overlap, measures, inliers, walls)
-            place.scored = self._likelihood.scored(place.fit, features)
+            self._weigh(place, rivals, inliers, CHANCE_WALLS)
+            # Beside rivals it is no more: a place that is out by chance stays out.
+            if self._rivals and place.log_ratio >= self._least:
+                self._weigh(place, rivals, inliers, self._walls_beside(place.fit, rivals))
+
+    def _weigh(self, place: Trial, rivals: Sequence[Rival], inliers: int, beside: Walls) -> None:
+        """Score a place by its fit, beside rivals, the most inliers elsewhere, and walls."""
+        assert place.fit is not None and place.aligned is not None
+        overlap, _ = aligned_measures(place.aligned)
+        measured, walls = [each for _, each in rivals], walls_over(place.fit.walls, beside)
+        features = features_of(place.fit, overlap, measured, inliers, walls)
+        place.beside, place.scored = beside, self._likelihood.scored(place.fit, features)
 
     def _walls_beside(self, fit: Observation, rivals: Sequence[Rival]) -> Walls:
         """Return the walls of chance, or of one of the best rivals, over which a fit has least."""

@@ -144,10 +144,15 @@ class TiledCloud:
         return self._at(T_map_local, query).aligned(T_map_local, query, known)
 
     def measured(
-        self, T_map_local: Pose, query: QueryCloud, known: Pose | None = None
+        self,
+        T_map_local: Pose,
+        query: QueryCloud,
+        known: Pose | None = None,
+        *,
+        align: bool = True,
     ) -> Observation:
         """Align a query from a pose, and compare it, as in one map."""
-        return self._at(T_map_local, query).measured(T_map_local, query, known)
+        return self._at(T_map_local, query).measured(T_map_local, query, known, align=align)
 
     def walls(self, T_map_local: Pose, query: QueryCloud) -> Walls:
         """Compare the walls of a query at a pose, as in one map."""

@@ -47,9 +47,6 @@ from .worlds import KINDS
 RIDGE = 0.2
 """Penalty on the squares of the weights: classes are nearly separable, which alone would make a
 fit as certain as its data are many."""
-MADE_COUNTS = 3.0
-"""How often a made view counts, which fixes no place: of corners in halls, which fit one corner and
-no other, the rows hold few."""
 FOLDS = 12
 KEPT = Path(__file__).with_name("posterior-rows.npz")
 """Rows to which the shipped weights were fitted."""
@@ -74,6 +71,7 @@ class Fit:
     ground: Count
     on_surface: Count
     inside: Count
+    planes: Count
 
     @classmethod
     def of(cls, row: list[float]) -> Fit:
@@ -89,6 +87,7 @@ class Fit:
             Count(*counts("ground", "ground_of")),
             Count(*counts("on_surface", "on_surface_of")),
             Count(*counts("inside", "inside_of")),
+            Count(*counts("planes", "planes_of")),
         )
 
 
@@ -106,8 +105,6 @@ class Records:
         Whether there is a pose, whether it is right, and whether it would be a false answer.
     world, kind, place : (R,)
         Number and kind of the world, name of the map.
-    counts : (R,) float64
-        How often each counts in the fit.
     """
 
     features: Float64
@@ -118,7 +115,6 @@ class Records:
     world: Int64
     kind: NDArray[np.str_]
     place: NDArray[np.str_]
-    counts: Float64
 
     def __len__(self) -> int:
         return len(self.world)
@@ -138,12 +134,11 @@ def without_ground(records: Records) -> Records:
     """Drop what ground says, as in maps without any, and what the extent of a map says.
 
     Maps without ground are finished clouds: they lack more of their places than those of the rows
-    do, and hold what nothing on the path saw. Made views are not believed there if each counts
-    once.
+    do, and hold what nothing on the path saw.
     """
     features = records.features.copy()
     features[..., [FEATURES.index(name) for name in ("ground", "overlap", "in_view")]] = 0.0
-    return replace(records, features=features, counts=np.minimum(records.counts, 1.0))
+    return replace(records, features=features)
 
 
 def records_of(rows: Rows) -> Records:
@@ -161,9 +156,7 @@ def records_of(rows: Rows) -> Records:
     names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
     world = np.array([names[name] for name in rows.world])
     kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])
-    counts = np.where(rows.place == BARE, MADE_COUNTS, 1.0)
-    records = Records(features, before, poses, right, false, world, kind, rows.place, counts)
-    return replace(records, counts=counts * told_apart(records))
+    return Records(features, before, poses, right, false, world, kind, rows.place)
 
 
 def described(rows: Float32) -> Float64:
@@ -217,6 +210,7 @@ def logistic_regression(x: Float64, y: Mask) -> Float64:
 
 def fit(records: Records, start: Float64 | None = None) -> Float64:
     """Fit the weights and, last, the score of "not in this map", (K + 1,)."""
+    records = records[told_apart(records)]
     target = records.found_at
     rows, most = np.arange(len(records)), records.poses.shape[1]
     chosen = np.zeros((len(records), most + 1))
@@ -225,10 +219,10 @@ def fit(records: Records, start: Float64 | None = None) -> Float64:
     def loss(w: Float64) -> tuple[float, Float64]:
         scores = _scores(records, w)
         total = logsumexp(scores, axis=1)
-        excess = records.counts[:, None] * (np.exp(scores - total[:, None]) - chosen)
+        excess = np.exp(scores - total[:, None]) - chosen
         slope = np.einsum("rm,rmk->k", excess[:, :most], records.features)
         modest = np.append(w[:-1], 0.0)
-        value = float(records.counts @ (total - scores[rows, target]) + RIDGE * (modest**2).sum())
+        value = float((total - scores[rows, target]).sum() + RIDGE * (modest**2).sum())
         return value, np.append(slope, excess[:, most].sum()) + 2 * RIDGE * modest
 
     start = np.zeros(len(FEATURES) + 1) if start is None else start

@@ -60,6 +60,8 @@ MEASURES = (
     "known_of",
     "inside",
     "inside_of",
+    "planes",
+    "planes_of",
     "walls",
     *ROUGH,
     *ALIGNED,
@@ -217,7 +219,7 @@ def measured(localizer: Localizer, query: Query, truth: Pose | None) -> Float64:
         far = [p.fit for p in places if p.fit is not None and apart(p.T_map_local, T)]
         elsewhere = [o.inliers for o in found.candidates if apart(o.T_map_local, T)]
         most = max([*elsewhere, *(other.inliers for other in far)], default=0)
-        counts = (*fit.seen, *fit.ground, *fit.on_surface, *fit.known, *fit.inside)
+        counts = (*fit.seen, *fit.ground, *fit.on_surface, *fit.known, *fit.inside, *fit.planes)
         walls = walls_over(fit.walls, place.beside)
         before = (*place.measures, *aligned_measures(place.aligned))
         rows.append((*error, fit.inliers, most, *counts, walls, *before))

@@ -11,7 +11,6 @@ import numpy as np
 
 from ...likelihood import (
     CHANCE_WALLS,
-    FEATURES,
     Count,
     Evidence,
     Model,
@@ -50,12 +49,14 @@ class _Unmeasured(NamedTuple):
     inside: Count = Count(0, 0)
     on_surface: Count = Count(0, 0)
     ground: Count = Count(0, 0)
+    planes: Count = Count(0, 0)
 
 
 _CHANCE_INLIERS = _Unmeasured().inliers
 _CHANCE_SHARE = 1.0 / (1.0 + math.exp(-known_odds(_Unmeasured().known)))
 _CHANCE_SEEN = 0.5
-_IN_VIEW = FEATURES.index("in_view")
+_PRIOR = ("in_view", "off_planes")
+"""Features of what is in view, rather than of how it fits."""
 _WORTH_NOTHING = features_of(_Unmeasured(), CHANCE_RIVAL[0], (), _CHANCE_INLIERS, 0.0)
 
 
@@ -85,9 +86,11 @@ class Part:
 
 
 def prior_log_odds(model: Model, pose: ScoredPose | None) -> float:
-    """Return the log-odds of a pose by how much is in view, before anything else is measured."""
-    in_view = 0.0 if pose is None else pose.features[_IN_VIEW]
-    return model.log_ratio(_WORTH_NOTHING) + model.weights["in_view"] * in_view
+    """Return the log-odds of a pose by what is in view, before anything else is measured."""
+    here = _WORTH_NOTHING if pose is None else pose.features
+    more = by_name(np.subtract(here, _WORTH_NOTHING).tolist())
+    in_view = sum(model.weights[name] * more[name] for name in _PRIOR)
+    return model.log_ratio(_WORTH_NOTHING) + in_view
 
 
 def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
@@ -104,7 +107,8 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
     if by_name(best.features)["free_space"] > free_space(fit.inside):
         words["free space"] = f"the map in view tells more; {words['free space']}"
     shares = _shares(model, best.features, _WORTH_NOTHING)
-    shares["map in view"] -= model.weights["in_view"] * best.features[_IN_VIEW]  # of the prior
+    in_view = by_name(best.features)["in_view"]
+    shares["map in view"] -= model.weights["in_view"] * in_view  # of the prior
     return tuple(
         Part(label, shares[label], words[label], over[label], beside[label]) for label in LABELS
     )
@@ -128,7 +132,12 @@ def evidence_rows(
     """
     rows = [(part.log_odds, part.label, part.words) for part in parts]
     rows.append(
-        (prior, "prior", "most poses are wrong, and the more is in view, the more must fit")
+        (
+            prior,
+            "prior",
+            "most poses are wrong; the more is in view, the more must fit, and two planes fit in "
+            "many places",
+        )
     )
     rows.sort(key=lambda row: -abs(row[0]))
     for name, chosen in (
