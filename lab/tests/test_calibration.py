@@ -105,7 +105,6 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
     poses, names = np.ones_like(right), np.full(len(right), "town")
     number = np.zeros(len(right), np.int64)
     before = rng.normal(size=(*right.shape, len(ROUGH + ALIGNED)))
-    counts = np.ones(len(right))
     records = Records(features, before, poses, right, ~right, number, names, names)
     found = fit(records)
     assert np.allclose(found, weights, atol=0.1)

@@ -77,6 +77,15 @@ def displace(T: Pose, step: Float64) -> Pose:
     return T @ rigid(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
 
 
+_MOST_SQUARED = 22.5
+"""Squared length of a displacement, by its covariance, that a thousandth of all exceed."""
+
+
+def allows(covariance: Float64, step: Float64) -> bool:
+    """Return whether a :func:`displacement` (6,) is likely by its covariance (6, 6)."""
+    return bool(step @ np.linalg.solve(covariance, step) <= _MOST_SQUARED)
+
+
 def rotation_angle(T: Pose) -> float:
     """Return the angle of T's rotation [rad], in [0, pi]; exact for small angles too."""
     R = T[:3, :3]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,13 +16,15 @@ from scipy.spatial import cKDTree
 
 from segloc import Config, Localizer, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
+from segloc.frontend.segmentation import Segmentation
 from segloc.likelihood import Aligned, Count, QueryCloud, VerificationConfig
+from segloc.likelihood.registration import Aligner, Alignment
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
 from segloc.map.config import MappingConfig
 from segloc.proposals.matching import MatchingConfig
 from segloc.proposals.occupancy import OccupancyConfig
-from segloc.types import Candidate, Float32, Float64, Int64, Pose
+from segloc.types import Candidate, Float32, Float64, Int64, Pose, Segments
 
 
 def within_reach(points: Float64, cloud: Float32) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -191,3 +196,53 @@ def test_fits_that_converge_to_one_pose_are_one_place(
         if np.linalg.norm(place.T_map_local[:2, 3] - T_map_local[:2, 3]) < 1.0
     ]
     assert len(near) == 1
+
+
+def test_a_corner_lies_on_two_planes(plaza: Plaza) -> None:
+    prior_map = build_map(PlazaSequence(plaza, steps=2), Config.preset("geo"))
+    likelihood, nothing = Localizer(prior_map).likelihood, np.empty((0, 3), np.float32)
+    rng = np.random.default_rng(0)
+    one = rng.uniform([3.0, 0.0, -1.0], [3.02, 8.0, 2.0], (4000, 3))
+    walls = one, one[:, [1, 0, 2]]
+
+    def share_on_two(*structure: Float64) -> float:
+        points = np.concatenate(structure).astype(np.float32)
+        scene = Segmentation(
+            Segments(nothing, np.zeros(1, np.int64), np.empty((0, 3)), np.empty(0, np.float32)),
+            points,
+            nothing,
+        )
+        share = likelihood.query(scene).planes.share
+        assert share is not None
+        return share
+
+    assert share_on_two(*walls) > 0.95 > 0.75 > share_on_two(*walls, rng.uniform(-8, 8, (8000, 3)))
+
+
+def test_a_denser_alignment_is_another_pose_if_the_first_hardly_allows_it(
+    plaza: Plaza, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = Config.preset("geo")
+    localizer = Localizer(build_map(PlazaSequence(plaza, steps=6), config), config)
+    query = localizer.describe(plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7))))
+    cloud, seen = localizer.likelihood.cloud, localizer.likelihood.query(query.scene)
+    fit = localizer.search(query).fits[0]
+    sure, open_turn = np.radians([0.3, 0.3, 5.0]), np.full(3, 0.05)
+    loose = replace(fit, covariance=np.diag(np.concatenate([sure, open_turn]) ** 2))
+    align = Aligner.align
+
+    def turned(about: int) -> Pose:
+        step = np.zeros(6)
+        step[about] = np.radians(4.0)
+
+        def moved(self: Aligner, *clouds: Any, **options: Any) -> Alignment | None:
+            found = align(self, *clouds, **options)
+            assert found is not None
+            return replace(found, T_target_source=geometry.displace(found.T_target_source, step))
+
+        monkeypatch.setattr(Aligner, "align", moved)
+        return cloud.finest(loose, seen).T_map_local
+
+    roll, _, yaw = range(3)
+    assert np.array_equal(turned(roll), fit.T_map_local)
+    assert geometry.rotation_angle(geometry.inverse(fit.T_map_local) @ turned(yaw)) > 0.06

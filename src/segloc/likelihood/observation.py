@@ -209,6 +209,7 @@ class QueryCloud:
         self._image: _native.VisibilityCheck | None = None
         self._storey: tuple[float, float] | None = None
         self._surface: _native.Surface | None = None
+        self._dense: _native.Surface | None = None
         self._close: tuple[_native.Surface, Float32, Int64] | None = None
         self._patches: Int64 | None = None
         self._planes: Count | None = None
@@ -217,10 +218,15 @@ class QueryCloud:
     def surface(self) -> _native.Surface:
         """Surface for alignment; built once."""
         if self._surface is None:
-            parts = self._scene.structure, self._scene.ground
-            near = [_native.moved_crop(points, _HERE, _ICP_RANGE_M) for points in parts]
-            self._surface = self._aligner.surface(np.concatenate(near))
+            self._surface = self._aligner.surface(self._near())
         return self._surface
+
+    @property
+    def dense(self) -> _native.Surface:
+        """The same, as dense as a map; built once."""
+        if self._dense is None:
+            self._dense = close_surface(_native.voxel_grid(self._near(), _CLOSE_VOXEL_M))
+        return self._dense
 
     @property
     def close(self) -> tuple[_native.Surface, Float32, Int64]:
@@ -246,6 +252,11 @@ class QueryCloud:
         if self._planes is None:
             self._planes = _on_planes(self.close[0])
         return self._planes
+
+    def _near(self) -> Float32:
+        """Return the points that are aligned, (N, 3)."""
+        parts = self._scene.structure, self._scene.ground
+        return np.concatenate([_native.moved_crop(p, _HERE, _ICP_RANGE_M) for p in parts])
 
     def storey(self) -> tuple[float, float]:
         """Return the lowest and the highest z of the query's storey [m]."""
@@ -404,16 +415,18 @@ class MapCloud:
         """Return a fit, aligned as dense as the map if that tells more than one with open turns.
 
         In a room, voxels that suit a street mix the faces of what stands there, and a pose may lean
-        by degrees. The covariances know.
+        by degrees. The covariances know; what they hardly allow is another pose.
         """
         if fit.covariance is None or _open_deg(fit.covariance) < _OPEN_DEG:
             return fit
         start = self._relative(fit.T_map_local)
-        finer = self._aligner.align(self._close, query.close[0], start)
+        finer = self._aligner.align(self._close, query.dense, start)
         if finer is None or self._separation.apart(start, finer.T_target_source):
             return fit
         covariance = ERRORS.widened(finer.covariance)
-        if _open_deg(covariance) >= _open_deg(fit.covariance):
+        moved = geometry.displacement(start, finer.T_target_source)
+        is_surer = _open_deg(covariance) < _open_deg(fit.covariance)
+        if not (is_surer and geometry.allows(fit.covariance, moved)):
             return fit
         T_map_local = self._absolute(finer.T_target_source)
         return replace(fit, T_map_local=T_map_local, covariance=covariance)

@@ -25,9 +25,6 @@ _WRONG_HEIGHT, _CONTRADICTS = 0.002, -4.5
 """Share of observed heights that are wrong, and log-ratio below which one contradicts a place."""
 _LEAST_HEIGHT_M = 0.3
 """Least standard deviation of a height: floors are not level, and maps lean."""
-_MOST_SQUARED = 22.5
-"""Squared error of a correction, by its covariance, of which six degrees of freedom exceed one in a
-thousand."""
 
 
 class Status(str, Enum):
@@ -360,7 +357,7 @@ class Belief:
         T, covariance = seen.T_map_odom, seen.covariance
         if before is not None:
             step, both = _step(h, seen, T_sensor), before + seen.covariance / view.new
-            if _allows(both, step):
+            if geometry.allows(both, step):
                 gain = np.linalg.solve(both, before).T
                 T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
                 T = T @ geometry.inverse(T_sensor)
@@ -378,7 +375,7 @@ class Belief:
             return False
         predicted = self._predict(doubted, T_odom_sensor)
         assert seen.covariance is not None and predicted is not None
-        return _allows(predicted + seen.covariance, _step(doubted, seen, T_odom_sensor))
+        return geometry.allows(predicted + seen.covariance, _step(doubted, seen, T_odom_sensor))
 
     def _merge(self, view: View) -> None:
         """Merge hypotheses of one place, at the pose of the most probable."""
@@ -419,8 +416,3 @@ def _upright(T_odom_sensor: Pose) -> Pose:
 def _step(h: Hypothesis, seen: Reading, T_odom_sensor: Pose) -> Float64:
     """Return the displacement of the sensor from a hypothesis to a measured pose, (6,)."""
     return geometry.displacement(h.T_map_odom @ T_odom_sensor, seen.T_map_odom @ T_odom_sensor)
-
-
-def _allows(covariance: Float64, step: Float64) -> bool:
-    """Return whether a displacement (6,) is likely by its covariance (6, 6)."""
-    return bool(step @ np.linalg.solve(covariance, step) <= _MOST_SQUARED)
