@@ -485,7 +485,8 @@ class Scorer:
             rivals = [rival for rival, away in zip(met, rival_apart[k], strict=True) if away]
             self._weigh(place, rivals, inliers, CHANCE_WALLS)
             # Beside rivals it is no more: a place that is out by chance stays out.
-            if self._rivals and place.log_ratio >= self._least:
+            counts = place.known is not None or place.log_ratio >= self._least
+            if self._rivals and counts:
                 self._weigh(place, rivals, inliers, self._walls_beside(place.fit, rivals))
 
     def _weigh(self, place: Trial, rivals: Sequence[Rival], inliers: int, beside: Walls) -> None:
