@@ -168,6 +168,26 @@ def test_poses_that_are_somewhat_off_are_measured(metres: float, degrees: float)
     assert finding.fault in (Fault.POSES_OFF, Fault.POSES_SMEAR)
 
 
+def test_rooms_whose_neighbours_are_out_of_view_have_nothing_wrong() -> None:
+    rng, scans, poses = np.random.default_rng(0), list[Float64](), list[Float64]()
+    for room in range(8):
+        half = rng.uniform(2.0, 3.3, 3)
+        walls = rng.uniform(-half, half, (6000, 3))
+        for axis in range(2):
+            walls[axis::2, axis] = rng.choice([-1, 1], 3000) * half[axis]
+        boxes = rng.uniform(-2.5, 2.5, (5, 1, 3)) + rng.uniform(-0.4, 0.4, (5, 300, 3))
+        seen = np.concatenate([walls, boxes.reshape(-1, 3)]) + (7.0 * room, 0.0, 0.0)
+        for x in (-1.1, 1.1):
+            T = geometry.yaw_transform(0.7 * room, (7.0 * room + x, 0.0, 0.0))
+            poses.append(T)
+            scans.append(geometry.transform(geometry.inverse(T), seen))
+    posed = np.array(poses)
+    assert pose_findings(MemoryRecording([Scan(points) for points in scans], posed)) == []
+    shuffled = [Scan(scans[k]) for k in rng.permutation(len(scans))]
+    (finding,) = pose_findings(MemoryRecording(shuffled, posed))
+    assert finding.fault is Fault.POSES_SMEAR
+
+
 @pytest.mark.slow
 def test_right_recordings_have_nothing_wrong() -> None:
     walk = Walk()

@@ -167,6 +167,8 @@ ALIGNER = Aligner(_VOXEL_M, ALIGN_M, 1)
 """Aligns two clouds of a recording; ALIGN_M is the maximum correspondence distance."""
 _MIN_GAIN, _MIN_SHARE = 0.08, 0.3  # of points that agree, and of those that disagree as is
 _UNRELATED = 0.2  # correct poses agree to at least 0.5, those of another drive to 0.06
+_AGREEING = 75.0
+"""Percentile of the pairs that counts: round corners and through doors neighbours share little."""
 _GAIN, _OFF_M, _OFF_DEG = 0.15, 0.3, 3.0
 
 
@@ -235,7 +237,7 @@ def _stuck_finding(recording: Recording, config: LocalCloudConfig) -> list[Findi
 
 
 def _smear(fits: list[Fit]) -> list[Finding]:
-    agreement = float(np.median([fit.agreement for fit in fits]))
+    agreement = float(np.percentile([fit.agreement for fit in fits], _AGREEING))
     if agreement < _UNRELATED:
         what = f"neighbouring clouds do not match at their poses (agreement {agreement:.2f} of 1)"
         remedy = (
