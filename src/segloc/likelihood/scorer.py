@@ -189,7 +189,7 @@ class Scorer:
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
         self._sure = log_odds(1.0 - self._model.lapse)
-        self._least = -self._threshold
+        self._hopeless = -self._threshold
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._first = np.empty((0, 4, 4))
@@ -243,7 +243,7 @@ class Scorer:
         5688 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
-        self._least = -math.inf if thorough else -self._threshold
+        self._hopeless = -math.inf if thorough else -self._threshold
         first = self._begin()
         if thorough or not self._is_sure(first, -self._threshold):
             self._meet(self._promising())
@@ -341,7 +341,7 @@ class Scorer:
     def _decide(self, thorough: bool = False) -> None:
         """Measure places, the most promising first, until none other is likely to compete."""
         while (place := self._next(thorough)) is not None:
-            self._advance(place, thorough)
+            self._advance(place)
             leader = self._leader()
             if leader is None:
                 continue
@@ -373,15 +373,15 @@ class Scorer:
             ]
         return max(left, key=lambda place: place.promise, default=None)
 
-    def _advance(self, place: Trial, thorough: bool) -> None:
+    def _advance(self, place: Trial) -> None:
         """Measure a place more exactly; a hopeless one where it is, unless it then may compete."""
         if place.aligned is None:
             self._align(place)
             self._merge(place)
             return
-        hopeless = not thorough and place.known is None and place.promise < -self._threshold
-        self._measure(place, align=not hopeless)
-        if hopeless and place.log_ratio >= -self._threshold:
+        is_hopeless = place.known is None and place.promise < self._hopeless
+        self._measure(place, align=not is_hopeless)
+        if is_hopeless and place.log_ratio >= self._hopeless:
             self._measure(place)
 
     def _measure(self, place: Trial, *, align: bool = True) -> None:
@@ -485,8 +485,8 @@ class Scorer:
             rivals = [rival for rival, away in zip(met, rival_apart[k], strict=True) if away]
             self._weigh(place, rivals, inliers, CHANCE_WALLS)
             # Beside rivals it is no more: a place that is out by chance stays out.
-            counts = place.known is not None or place.log_ratio >= self._least
-            if self._rivals and counts:
+            may_be_in = place.known is not None or place.log_ratio >= self._hopeless
+            if self._rivals and may_be_in:
                 self._weigh(place, rivals, inliers, self._walls_beside(place.fit, rivals))
 
     def _weigh(self, place: Trial, rivals: Sequence[Rival], inliers: int, beside: Walls) -> None:
