@@ -53,9 +53,9 @@ def test_views_that_are_not_believed_alone_are_once_they_agree(
     plaza_map: SegmentMap, plaza: Plaza
 ) -> None:
     def scan(n: int) -> tuple[Float64, Float64]:
-        """A few hundred points, and the pose."""
+        """Few points, and the pose."""
         T = geometry.yaw_transform(0.0, (-12.0 + 2.0 * n, 1.0, 1.8))
-        return plaza.scan(T, posed=False, seed=n).points[::150], T
+        return plaza.scan(T, posed=False, seed=n).points[::250], T
 
     alone = strict(plaza_map, 1.0).localize(scan(0)[0]).confidence
     tracker = Tracker(strict(plaza_map, (1.0 + alone) / 2.0))
