@@ -78,7 +78,8 @@ def displace(T: Pose, step: Float64) -> Pose:
 
 
 _MOST_SQUARED = 22.5
-"""Squared length of a displacement, by its covariance, that a thousandth of all exceed."""
+"""Squared length of a displacement, by its covariance, that one in a thousand exceeds: the quantile
+of a chi-squared distribution with six degrees of freedom."""
 
 
 def allows(covariance: Float64, step: Float64) -> bool:

@@ -513,9 +513,8 @@ def patches(points: Float32, side_m: float) -> Int64:
 
 def _on_planes(surface: _native.Surface) -> Count:
     """Count the points of a surface on its widest planes: those of some of its normals."""
-    points, normals = (
-        each(_MAX_SURFACE_POINTS) for each in (surface.sampled, surface.sampled_normals)
-    )
+    points = surface.sampled(_MAX_SURFACE_POINTS)
+    normals = surface.sampled_normals(_MAX_SURFACE_POINTS)
     some = points[:: 1 + len(points) // _PLANE_POINTS].astype(np.float64)
     flat = np.flatnonzero(normals.any(axis=1))
     flat = flat[:: 1 + len(flat) // _MAX_PLANES]

@@ -211,10 +211,11 @@ def test_why_the_best_pose_beats_the_runner_up(plaza: Plaza, plaza_map: SegmentM
     over = sum(part.over for part in found.parts)
     assert over == pytest.approx(best.log_ratio - second.log_ratio) and over > 1.0
     title, rows = confidence_tables(found)[-1]
-    assert title == "over the runner-up"
+    sizes = [abs(float(log_odds)) for log_odds, _, _ in rows]
+    assert title == "over the runner-up" and sizes == sorted(sizes, reverse=True)
     words = {label: text for _, label, text in rows}["wall by wall"]
     assert re.fullmatch(r"\d\d pieces of wall fit better here, \d at the runner-up", words)
-    assert all(abs(float(log_odds)) > 0 for log_odds, _, _ in rows)
+    assert min(sizes) > 0
 
 
 def test_what_was_not_measured_is_worth_nothing(plaza: Plaza, plaza_map: SegmentMap) -> None:

@@ -87,10 +87,7 @@ class Part:
 
 def prior_log_odds(model: Model, pose: ScoredPose | None) -> float:
     """Return the log-odds of a pose by what is in view, before anything else is measured."""
-    here = _WORTH_NOTHING if pose is None else pose.features
-    more = by_name(np.subtract(here, _WORTH_NOTHING).tolist())
-    in_view = sum(model.weights[name] * more[name] for name in _PRIOR)
-    return model.log_ratio(_WORTH_NOTHING) + in_view
+    return model.log_ratio(_WORTH_NOTHING if pose is None else _unfitted(pose.features))
 
 
 def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
@@ -106,12 +103,16 @@ def parts_of(model: Model, found: Search) -> tuple[Part, ...]:
         beside["segments"] = ""
     if by_name(best.features)["free_space"] > free_space(fit.inside):
         words["free space"] = f"the map in view tells more; {words['free space']}"
-    shares = _shares(model, best.features, _WORTH_NOTHING)
-    in_view = by_name(best.features)["in_view"]
-    shares["map in view"] -= model.weights["in_view"] * in_view  # of the prior
+    shares = _shares(model, best.features, _unfitted(best.features))
     return tuple(
         Part(label, shares[label], words[label], over[label], beside[label]) for label in LABELS
     )
+
+
+def _unfitted(features: Sequence[float]) -> tuple[float, ...]:
+    """Return the features of the same view at a pose at which nothing was measured."""
+    nothing = by_name(_WORTH_NOTHING)
+    return tuple(x if n in _PRIOR else nothing[n] for n, x in by_name(features).items())
 
 
 def _shares(model: Model, here: Sequence[float], there: Sequence[float]) -> dict[str, float]:
