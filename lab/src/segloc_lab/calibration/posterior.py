@@ -36,6 +36,7 @@ from segloc.likelihood import (
     Promise,
     VerificationConfig,
     features_of,
+    told,
 )
 from segloc.tools.inspect import GREEN, PATH, RED
 from segloc.types import Float32, Float64, Int64
@@ -98,7 +99,8 @@ class Records:
     Attributes
     ----------
     features : (R, M, K) float64
-        Those of :data:`segloc.likelihood.FEATURES`; zero where there is no pose.
+        Those of :data:`segloc.likelihood.FEATURES`, as they are weighed; zero where there is no
+        pose.
     before : (R, M, 5) float64
         What was known before the measurement: three numbers before alignment, two after.
     poses, right, false : (R, M) bool
@@ -170,7 +172,7 @@ def described(rows: Float32) -> Float64:
     for k, row in enumerate(rows.tolist()):
         others = [rivals[other] for other in by_overlap if other != k]
         elsewhere, walls = int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]]
-        found.append(features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls))
+        found.append(told(features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls)))
     return np.array(found, np.float64).reshape(-1, len(FEATURES))
 
 
@@ -349,14 +351,18 @@ def _count(records: Records) -> int:
 
 def reliability_table(records: Records, decisions: Decisions) -> Table:
     """Compare probabilities with shares of wrong answers."""
-    p, alike = expit(decisions.log_odds), np.isin(records.kind, ALIKE)
+    p, apart = expit(decisions.log_odds), told_apart(records)
+    repeating = apart & np.isin(records.kind, ALIKE)
+    parts = {"all": np.ones(len(p), bool), "told apart": apart, "repeating": repeating}
     rows = [
         (name, f"{low:g} to {high:g}", *_bin(p, decisions, chosen & (p >= low) & (p < high)))
-        for name, chosen in (("all", np.ones(len(p), bool)), ("repeating", alike))
+        for name, chosen in parts.items()
         for low, high in pairwise((*BINS[:-1], 1.0 + 1e-9))
     ]
     columns = ("kinds", "probability", "wrong", "expected wrong")
-    return Table(columns, rows, f"Repeating: {', '.join(ALIKE)}.", "Reliability")
+    return Table(
+        columns, rows, f"Repeating: {', '.join(ALIKE)}, where views can tell.", "Reliability"
+    )
 
 
 def _bin(p: Float64, decisions: Decisions, here: Mask) -> Iterator[Cell]:

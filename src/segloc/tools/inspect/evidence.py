@@ -117,10 +117,9 @@ def _unfitted(features: Sequence[float]) -> tuple[float, ...]:
 
 def _shares(model: Model, here: Sequence[float], there: Sequence[float]) -> dict[str, float]:
     """Return, by label, what the features of one pose add to the log-odds over another's."""
-    more = by_name(np.subtract(here, there).tolist())
+    more, less = model.shares(here), model.shares(there)
     return {
-        label: sum(model.weights[name] * more[name] for name in names)
-        for label, names in LABELS.items()
+        label: sum(more[name] - less[name] for name in names) for label, names in LABELS.items()
     }
 
 
