@@ -41,9 +41,9 @@ _COMPARED = (
     "walls_over_rival",
 )
 """Those of the two clouds, which tell less the more of a view lies on two planes."""
-_OFF_PLANES_TELL = 0.15
-"""By how much more they tell per unit of ``off_planes``. Fitted with the weights it is 0.155;
-without ground 0.24, by which the surest wrong places are believed more."""
+_OFF_PLANES_TELL = 0.1
+"""By how much more they tell per unit of ``off_planes``. The likelihood is best with 0.15, without
+ground with more, but the surest wrong places are believed more, and no more is found."""
 
 _PRIOR, _SEEN_PRIOR = 10.0, 5.0
 """Points by which shares of surfaces and of the map in view are smoothed."""

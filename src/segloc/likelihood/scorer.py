@@ -189,7 +189,7 @@ class Scorer:
         self._map, self._separation = likelihood.cloud, likelihood.separation
         self._threshold = log_odds(self._config.min_confidence)
         self._sure = log_odds(1.0 - self._model.lapse)
-        self._hopeless = -self._threshold
+        self._thorough = False
         self._surrounded: list[Pose] = []
         self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
         self._first = np.empty((0, 4, 4))
@@ -243,11 +243,11 @@ class Scorer:
         5688 such places of the fit none was refused beside all rivals. ``thorough`` measures the
         most promising ones to the end, whatever they promise.
         """
-        self._hopeless = -math.inf if thorough else -self._threshold
+        self._thorough = thorough
         first = self._begin()
         if thorough or not self._is_sure(first, -self._threshold):
             self._meet(self._promising())
-            self._decide(thorough)
+            self._decide()
         return self.posterior()
 
     def measure_at_once(self) -> Posterior | None:
@@ -338,26 +338,26 @@ class Scorer:
             self._merge(every[k])
         self._score()
 
-    def _decide(self, thorough: bool = False) -> None:
+    def _decide(self) -> None:
         """Measure places, the most promising first, until none other is likely to compete."""
-        while (place := self._next(thorough)) is not None:
+        while (place := self._next()) is not None:
             self._advance(place)
             leader = self._leader()
             if leader is None:
                 continue
-            if thorough or leader.known is not None or leader.log_ratio >= self._threshold:
+            if self._thorough or leader.known is not None or leader.log_ratio >= self._threshold:
                 self._surround(leader)
 
-    def _next(self, thorough: bool) -> Trial | None:
+    def _next(self) -> Trial | None:
         """Return the most promising place to measure; None if no other is likely to compete."""
         begun = sum(place.aligned is not None for place in self.places)
         most = _MOST_PLACES + MOST_BESIDE
-        may_begin = begun < (_MOST_ALIGNED if thorough else most)
+        may_begin = begun < (_MOST_ALIGNED if self._thorough else most)
         for place in self.places:
             if place.known is not None and place.fit is None:
                 return place
         left = [p for p in self.places if p.fit is None and (p.aligned is not None or may_begin)]
-        if thorough:
+        if self._thorough:
             fresh = [place for place in left if place.aligned is None]
             measured = sum(place.fit is not None for place in self.places)
             left = fresh or ([] if measured >= _MOST_MEASURED else left)
@@ -379,10 +379,14 @@ class Scorer:
             self._align(place)
             self._merge(place)
             return
-        is_hopeless = place.known is None and place.promise < self._hopeless
+        is_hopeless = self._is_out(place, place.promise)
         self._measure(place, align=not is_hopeless)
-        if is_hopeless and place.log_ratio >= self._hopeless:
+        if is_hopeless and not self._is_out(place, place.log_ratio):
             self._measure(place)
+
+    def _is_out(self, place: Trial, odds: float) -> bool:
+        """Return whether a place cannot compete by its log-odds; in a thorough search any may."""
+        return not self._thorough and place.known is None and odds < -self._threshold
 
     def _measure(self, place: Trial, *, align: bool = True) -> None:
         """Measure a place to the end; one that meets another place is the same."""
@@ -485,8 +489,7 @@ class Scorer:
             rivals = [rival for rival, away in zip(met, rival_apart[k], strict=True) if away]
             self._weigh(place, rivals, inliers, CHANCE_WALLS)
             # Beside rivals it is no more: a place that is out by chance stays out.
-            may_be_in = place.known is not None or place.log_ratio >= self._hopeless
-            if self._rivals and may_be_in:
+            if self._rivals and not self._is_out(place, place.log_ratio):
                 self._weigh(place, rivals, inliers, self._walls_beside(place.fit, rivals))
 
     def _weigh(self, place: Trial, rivals: Sequence[Rival], inliers: int, beside: Walls) -> None:
