@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,29 @@ def rows(points: Float64) -> np.ndarray:
     return np.rec.fromarrays([np.zeros(len(points), "<f4"), *points.T], names="red,x,y,z")
 
 
+def ply_after_list(points: Float64) -> bytes:
+    """A PLY file whose vertices come after a row with a list."""
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement strip 1\nproperty list uchar int at\n"
+        f"element vertex {len(points)}\n"
+        + "".join(f"property double {axis}\n" for axis in "xyz")
+        + "end_header\n"
+    )
+    return head.encode() + b"\x01" + bytes(4) + points.astype("<f8").tobytes()
+
+
+def npz(points: Float64) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, points=points)
+    return buffer.getvalue()
+
+
+WHOLE = "c.pcd", "c.ply", "a.vtk", "a.npz"
+"""Files of the test below that are not read in parts."""
+
+
 @pytest.mark.parametrize(
-    "name", ["a.pcd", "b.pcd", "c.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv"]
+    "name", ["a.pcd", "b.pcd", "a.ply", "b.ply", "a.laz", "a.xyz", "a.csv", *WHOLE]
 )
 def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
     tmp_path: Path, points: Float64, name: str, monkeypatch: pytest.MonkeyPatch
@@ -47,14 +69,21 @@ def test_utm_coordinates_are_read_in_parts_to_a_millimetre(
         "c.pcd": lambda: pcd(rows(there), "binary_compressed"),
         "a.ply": lambda: ply(rows(there), "binary_big_endian", faces=[]),
         "b.ply": lambda: ply(rows(there), "ascii", faces=[]),
+        "c.ply": lambda: ply_after_list(there),
+        "a.vtk": lambda: (
+            b"# vtk DataFile Version 3.0\n\nBINARY\nDATASET POLYDATA\n"
+            b"POINTS 2500 double\n" + there.astype(">f8").tobytes()
+        ),
+        "a.npz": lambda: npz(there),
         "a.laz": lambda: format_laz(there, offset=UTM),
         "a.xyz": lambda: f"2500\n{lines}".encode(),
         "a.csv": lambda: f"X,Y,Z,i\n{lines.replace(' ', ',')}".encode(),
     }[name]()
     (tmp_path / name).write_bytes(data)
     parts = list(read_cloud(tmp_path / name))
-    assert len(parts) >= 3 or name == "c.pcd"  # compressed as a whole
-    assert count_points(tmp_path / name) == pytest.approx(2500, rel=0.001)
+    assert len(parts) == 1 if name in WHOLE else len(parts) >= 3
+    if name not in ("a.vtk", "a.npz"):  # whose headers are not read
+        assert count_points(tmp_path / name) == pytest.approx(2500, rel=0.001)
     assert np.abs(np.concatenate(parts) - there).max() < 1.1e-3
 
 

@@ -17,10 +17,9 @@ from ...system.checks import checked_pose
 from ...system.files import CLOUD_SUFFIXES
 from ...system.files import is_cloud as is_cloud
 from ...types import Float64
-from . import pcd, ply
+from . import npy, pcd, ply, vtk
 from .fields import MAX_HEADER_BYTES, PointLayout, brief, column, faults_of, require_points
 from .las import las_parts, point_count
-from .npy import as_points, parse_array
 from .scans import natural_key, read_file, read_scan, scan_suffix
 from .text import COMMENTS, table_parts, text_parts
 
@@ -176,10 +175,26 @@ def _parts(path: Path) -> Iterator[Float64]:
     if suffix in (".las", ".laz"):
         return las_parts(path, PART)
     if suffix == ".npy":
-        return iter([_float64(as_points(parse_array(read_file(path)))[:, :3])])
+        return iter([_float64(npy.as_points(npy.parse_array(read_file(path)))[:, :3])])
     if suffix in (".pcd", ".ply", *_TEXT) and path.stat().st_size:
         return _map_rows(path, suffix)
-    return iter([read_scan(path).points.astype(np.float64)])
+    if suffix in _COORDINATES:
+        return iter([_coordinates(read_file(path), suffix)])
+    return iter([read_scan(path).points.astype(np.float64)])  # of float32, or empty
+
+
+_COORDINATES: dict[str, Callable[[bytes], list[NDArray[Any]]]] = {
+    ".pcd": pcd.parse_coordinates,
+    ".ply": ply.parse_coordinates,
+    ".vtk": vtk.parse_coordinates,
+    ".npz": npy.parse_coordinates,
+}
+"""Of files that are read whole."""
+
+
+def _coordinates(data: bytes, suffix: str) -> Float64:
+    """Return the points of a file with all digits that it has, (N, 3)."""
+    return _float64(np.column_stack(_COORDINATES[suffix](data)))
 
 
 _FLOAT32_BYTES = 12  # of a point of GLIM, and the least of others
@@ -210,10 +225,8 @@ def _map_rows(path: Path, suffix: str) -> Iterator[Float64]:
             return
         head = data[: 1 << 20]
         layout = (pcd.point_layout if suffix == ".pcd" else ply.point_layout)(head)
-        if layout is None and suffix == ".pcd":
-            yield _float64(np.column_stack(pcd.parse_coordinates(data[:])))
-        elif layout is None:
-            yield read_scan(path).points.astype(np.float64)
+        if layout is None:
+            yield _coordinates(data[:], suffix)
         elif layout.text:
             yield from table_parts(data, layout.start, layout.columns, layout.count, layout.stride)
         else:

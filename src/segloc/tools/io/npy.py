@@ -31,9 +31,12 @@ def parse_npy(data: bytes) -> Scan:
 def parse_npz(data: bytes) -> Scan:
     """Parse the array ``points``, or the only one besides ``times``; ``times`` (N,) is optional."""
     points, times = _parse_archive(data)
-    if times is not None and times.shape != (len(points),):
-        raise DatasetError(f"times have shape {times.shape}, not ({len(points)},)")
     return Scan(points, times=times)
+
+
+def parse_coordinates(data: bytes) -> list[NDArray[Any]]:
+    """Return the columns x, y and z of an archive as they are stored."""
+    return list(_parse_archive(data)[0][:, :3].T)
 
 
 def as_points(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
@@ -89,11 +92,14 @@ def _parse_archive(data: bytes) -> tuple[NDArray[np.floating[Any]], NDArray[Any]
                 )
             name = "points" if "points" in members else next(iter(members))
             points = as_points(parse_array(_member(archive, members[name])))
-            return points, parse_array(_member(archive, times)) if times else None
+            stamps = parse_array(_member(archive, times)) if times else None
     except DatasetError:
         raise
     except Exception as error:  # zipfile raises many kinds on damaged bytes
         raise DatasetError(f"not a readable NPZ archive: {brief(error)}") from error
+    if stamps is not None and stamps.shape != (len(points),):
+        raise DatasetError(f"times have shape {stamps.shape}, not ({len(points)},)")
+    return points, stamps
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:

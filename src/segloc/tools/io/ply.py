@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -66,6 +66,19 @@ class _Element:
 
 def parse_ply(data: bytes) -> Scan:
     """Parse the vertices; other elements may hold anything, including lists."""
+    vertex, columns = _parse(data)
+    last = vertex.properties[wanted_columns(_single(vertex))[-1]]
+    is_integer = last.type[0] in "iu"  # columns may have lost it
+    return scan_from_columns(columns, time_name=last.name, integer_times=is_integer)
+
+
+def parse_coordinates(data: bytes) -> list[NDArray[Any]]:
+    """Return the columns x, y and z of the vertices as they are stored."""
+    return _parse(data)[1][:3]
+
+
+def _parse(data: bytes) -> tuple[_Element, list[NDArray[Any]]]:
+    """Return the element of the vertices, and its wanted columns."""
     order, elements, start = _parse_header(data)
     names = [element.name for element in elements]
     if names.count("vertex") != 1:
@@ -73,10 +86,10 @@ def parse_ply(data: bytes) -> Scan:
     before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
     check_points(vertex.count, "vertices")
     if order == "":
-        return _parse_ascii(data[start:], before, vertex)
+        return vertex, _parse_ascii(data[start:], before, vertex)
     for element in before:
         start = _skip(data, start, element, order)
-    return _parse_binary(data, start, vertex, order)
+    return vertex, _parse_binary(data, start, vertex, order)
 
 
 def point_layout(head: bytes) -> PointLayout | None:
@@ -141,7 +154,7 @@ def _parse_property(words: list[str]) -> _Property:
     return _Property(words[-1], str(codes[1]), codes[0])
 
 
-def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
+def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> list[NDArray[Any]]:
     names = _single(vertex)
     columns = wanted_columns(names)
     lists = [k for k, prop in enumerate(vertex.properties) if prop.length_type]
@@ -156,14 +169,7 @@ def _parse_ascii(data: bytes, before: list[_Element], vertex: _Element) -> Scan:
         skipped=sum(element.count for element in before),
         more=True,
     )
-    return _scan(list(table.T), vertex, columns)
-
-
-def _scan(columns: Sequence[NDArray[Any]], vertex: _Element, wanted: Sequence[int]) -> Scan:
-    """Build a scan from the wanted columns, whose types may be lost."""
-    last = vertex.properties[wanted[-1]]
-    is_integer = last.type[0] in "iu"
-    return scan_from_columns(columns, time_name=last.name, integer_times=is_integer)
+    return list(table.T)
 
 
 def _single(element: _Element) -> list[str]:
@@ -171,21 +177,20 @@ def _single(element: _Element) -> list[str]:
     return ["" if prop.length_type else prop.name for prop in element.properties]
 
 
-def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> Scan:
+def _parse_binary(data: bytes, start: int, vertex: _Element, order: str) -> list[NDArray[Any]]:
     wanted = wanted_columns(_single(vertex))
     if vertex.has_lists:
         return _parse_with_lists(data, start, vertex, order, wanted)
     require_bytes(len(data) - start, vertex.count * vertex.stride, f"{vertex.count} vertices")
-    columns = [
+    return [
         column(data, dtype, vertex.count, start + at, vertex.stride)
         for dtype, at in vertex.places(wanted, order)
     ]
-    return _scan(columns, vertex, wanted)
 
 
 def _parse_with_lists(
     data: bytes, start: int, vertex: _Element, order: str, wanted: list[int]
-) -> Scan:
+) -> list[NDArray[Any]]:
     """Parse vertices of variable size, with lists beside coordinates."""
     row, properties = _Row(vertex, order), vertex.properties
     fixed = not any(prop.length_type for prop in properties[: max(wanted)])
@@ -201,7 +206,7 @@ def _parse_with_lists(
     for k, position in enumerate(wanted):
         dtype = np.dtype(order + properties[position].type)
         columns.append(content[at[:, k, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0])
-    return _scan(columns, vertex, wanted)
+    return columns
 
 
 def _skip(data: bytes, start: int, element: _Element, order: str) -> int:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import DatasetError
 from ...system.budget import check_points
@@ -24,6 +26,11 @@ _POINTS = re.compile(rb"^POINTS[ \t]+(\S{1,40})[ \t]+(\w{1,40})[ \t]*\r?\n", re.
 
 def parse_vtk(data: bytes) -> Scan:
     """Parse the points of poly data, unstructured and structured grids."""
+    return scan_from_columns(parse_coordinates(data))
+
+
+def parse_coordinates(data: bytes) -> list[NDArray[Any]]:
+    """Return the columns x, y and z of a file as they are stored."""
     encoding, start = _parse_header(data)
     found = _POINTS.search(data, start)
     if found is None:
@@ -51,21 +58,19 @@ def _parse_header(data: bytes) -> tuple[str, int]:
     return encoding, start
 
 
-def _parse_binary(data: bytes, start: int, count: int, dtype: np.dtype[np.generic]) -> Scan:
+def _parse_binary(data: bytes, start: int, count: int, dtype: np.dtype[Any]) -> list[NDArray[Any]]:
     size = dtype.itemsize
     require_bytes(len(data) - start, 3 * size * count, f"{count} points")
-    return scan_from_columns(
-        [column(data, dtype, count, start + axis * size, 3 * size) for axis in range(3)]
-    )
+    return [column(data, dtype, count, start + axis * size, 3 * size) for axis in range(3)]
 
 
-def _parse_ascii(data: bytes, count: int) -> Scan:
+def _parse_ascii(data: bytes, count: int) -> list[NDArray[Any]]:
     """Parse numbers in any number of columns; VTK writes three points per line."""
     require_bytes(len(data) + 1, 6 * count, f"{count} points")  # at least a digit and a space each
     if b"#" in data or b"nan(" in data.lower():
         data = plain_nan(data.decode("latin-1")).encode("latin-1")
     if not count:
-        return Scan(np.empty((0, 3), dtype=np.float32))
+        return [np.empty(0)] * 3
     end = _WORD.search(data)
     try:
         # Without a count: given a count and too few numbers, NumPy returns uninitialised memory.
@@ -74,4 +79,4 @@ def _parse_ascii(data: bytes, count: int) -> Scan:
         raise DatasetError(f"cannot parse the points: {brief(error)}") from error
     if len(values) < 3 * count:
         raise DatasetError(f"{count} points need {3 * count} numbers, only {len(values)} are there")
-    return scan_from_columns(list(values[: 3 * count].reshape(-1, 3).T))
+    return list(values[: 3 * count].reshape(-1, 3).T)
