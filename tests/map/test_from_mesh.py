@@ -112,6 +112,7 @@ def test_no_viewpoint_lies_within_a_solid() -> None:
         (np.zeros((5, 3, 3)), DatasetError, "no floor"),
         (np.eye(3)[None], DatasetError, "no floor"),
         (np.array([np.eye(3), np.eye(3) + 1e6]), DatasetError, "km apart"),
+        (np.array([np.eye(3), 2600.0 * np.eye(3)]), DatasetError, "2600 m high"),
         (1e-3 * storey(3), DatasetError, "no floor"),
     ],
 )

@@ -29,6 +29,8 @@ SENSOR_HEIGHT_M, TOLERANCE_M = 1.0, 0.05
 """Defaults: height of the viewpoints over the floor, and how far walls may be off the plan [m]."""
 VOXEL_M = 0.1
 """Voxel of the cloud for verification [m]: thinner than walls, whose faces it keeps apart."""
+_TALLEST_M = 1000.0
+"""Height that no building has; a storey in millimetres has more."""
 _AZIMUTHS, _ELEVATIONS_DEG = 600, np.arange(-60.0, 61.0, 2.0)
 _NOISE_M = 0.01  # of ranges, as a sensor's: planes without any are degenerate
 
@@ -112,8 +114,8 @@ def build_from_mesh(
     Raises
     ------
     DatasetError
-        If there are no triangles, they are more than 100 km apart, or no floor has room for a
-        sensor.
+        If there are no triangles, they are more than 100 km apart or 1 km high, or no floor has
+        room for a sensor.
     InvalidScan
         If ``triangles`` are something else.
     ConfigError
@@ -183,5 +185,11 @@ def _check(triangles: ArrayLike, tell: Note) -> tuple[Float32, Float64]:
         raise DatasetError(
             f"triangles lie up to {far / 1000:.0f} km apart, at most {MAX_LOCAL_METRES / 1000:g}: "
             "is the unit right?"
+        )
+    tall = float(np.ptp(usable[..., 2]))
+    if tall > _TALLEST_M:
+        raise DatasetError(
+            f"the plan is {tall:.0f} m high, no building is: is the unit right, and which axis "
+            "points up?"
         )
     return np.ascontiguousarray(usable - origin, dtype=np.float32), origin
