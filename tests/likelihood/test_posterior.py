@@ -91,6 +91,16 @@ def test_the_score_rises_with_all_that_speaks_for_a_pose() -> None:
     assert many < few
 
 
+def test_what_fits_counts_less_the_more_of_a_view_lies_on_two_planes() -> None:
+    rival = [observed(0.5, 0.6, inliers=3, walls=0.4)]
+    gains = [
+        log_ratio(observed(0.85, 0.95, planes=share), rival)
+        - log_ratio(observed(0.7, 0.8, planes=share, walls=0.6), rival)
+        for share in (0.2, 0.6, 0.97)
+    ]
+    assert gains[0] > 1.05 * gains[1] > 1.1 * gains[2] > 0.0
+
+
 def test_no_observation_makes_an_impossible_score() -> None:
     for overlap, seen, inliers, most in product((0.0, 1.0), (0.0, 1.0), (0, 10**6), (0, 10**6)):
         for others in ([], [observed(0.0, 0.0)], [observed(1.0, 1.0)]):
