@@ -29,7 +29,7 @@ GLIM = "points_compact.bin"
 """The points of a submap in a dump of GLIM."""
 POSE_OF_GLIM = "data.txt"
 """The file beside it with its pose."""
-WHOLE = (".e57", ".npy")
+WHOLE = (".e57", ".npy", ".npz", ".vtk")
 """Of files that are read whole, 24 bytes a point."""
 _TEXT = (".xyz", ".txt", ".pts", ".asc", ".csv")
 
