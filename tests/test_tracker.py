@@ -100,9 +100,8 @@ def test_views_of_two_places_that_look_alike_are_not_believed(
     # By a multiple of the voxels: a true copy.
     both = repeated(plaza_map, (510.0, 0.0, 0.0))
     tracks = walk(Tracker(Localizer(both)), plaza, count=10, step=2.5)
-    assert all(track.status is Status.CANDIDATE for track in tracks)
-    # Alignments that err by centimetres favour now the one and now the other.
-    assert sum(track.reason == "several places fit" for track in tracks) >= 8
+    for track in tracks:
+        assert track.status is Status.CANDIDATE and track.reason == "several places fit"
 
 
 def test_a_track_survives_what_shows_nothing_but_not_for_ever(

@@ -11,7 +11,7 @@ from .model import aligned_measures as aligned_measures
 from .model import by_name as by_name
 from .model import features_of as features_of
 from .model import shipped_model as shipped_model
-from .model import told as told
+from .model import terms_of as terms_of
 from .model import wall_differences as wall_differences
 from .model import walls_over as walls_over
 from .observation import Aligned as Aligned

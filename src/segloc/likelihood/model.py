@@ -158,7 +158,7 @@ class Model(Section):
 
     def shares(self, features: Sequence[float]) -> dict[str, float]:
         """Return the share of each feature in the log-ratio of a pose, by name."""
-        return {name: self.weights[name] * x for name, x in by_name(told(features)).items()}
+        return {name: self.weights[name] * x for name, x in terms_of(features).items()}
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """Return the log-ratio of a pose to another that differs only in its inliers."""
@@ -206,13 +206,15 @@ def features_of(
     )
 
 
-def told(features: Sequence[float]) -> tuple[float, ...]:
-    """Return features of :func:`features_of` by how much they tell, as they are weighed."""
-    named = by_name(features)
+def terms_of(features: Sequence[float]) -> dict[str, float]:
+    """Return what is weighed, by name and in order: :func:`features_of`, by how much they tell."""
+    terms = by_name(features)
     # Things that were moved make a few pieces of wall differ, but not many.
-    named["walls_over_rival"] *= abs(named["walls_over_rival"])
-    telling = 1.0 + _OFF_PLANES_TELL * named["off_planes"]
-    return tuple(x * telling if name in _COMPARED else x for name, x in named.items())
+    terms["walls_over_rival"] *= abs(terms["walls_over_rival"])
+    telling = 1.0 + _OFF_PLANES_TELL * terms["off_planes"]
+    for name in _COMPARED:
+        terms[name] *= telling
+    return terms
 
 
 def by_name(features: Sequence[float]) -> dict[str, float]:

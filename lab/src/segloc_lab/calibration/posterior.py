@@ -36,7 +36,7 @@ from segloc.likelihood import (
     Promise,
     VerificationConfig,
     features_of,
-    told,
+    terms_of,
 )
 from segloc.tools.inspect import GREEN, PATH, RED
 from segloc.types import Float32, Float64, Int64
@@ -99,8 +99,8 @@ class Records:
     Attributes
     ----------
     features : (R, M, K) float64
-        Those of :data:`segloc.likelihood.FEATURES`, as they are weighed; zero where there is no
-        pose.
+        :func:`segloc.likelihood.terms_of` those of :data:`segloc.likelihood.FEATURES`; zero where
+        there is no pose.
     before : (R, M, 5) float64
         What was known before the measurement: three numbers before alignment, two after.
     poses, right, false : (R, M) bool
@@ -172,7 +172,8 @@ def described(rows: Float32) -> Float64:
     for k, row in enumerate(rows.tolist()):
         others = [rivals[other] for other in by_overlap if other != k]
         elsewhere, walls = int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]]
-        found.append(told(features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls)))
+        features = features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls)
+        found.append((*terms_of(features).values(),))
     return np.array(found, np.float64).reshape(-1, len(FEATURES))
 
 
