@@ -99,8 +99,8 @@ class Records:
     Attributes
     ----------
     features : (R, M, K) float64
-        :func:`segloc.likelihood.terms_of` those of :data:`segloc.likelihood.FEATURES`; zero where
-        there is no pose.
+        What is weighed of :data:`segloc.likelihood.FEATURES` (:func:`segloc.likelihood.terms_of`);
+        zero where there is no pose.
     before : (R, M, 5) float64
         What was known before the measurement: three numbers before alignment, two after.
     poses, right, false : (R, M) bool
