@@ -166,8 +166,9 @@ class Prior:
 
     def rows(self, positions: Float64, reach_m: float) -> Int64:
         """Return the rows of (N, 3) positions within ``reach_m`` of a sensor near the prior."""
-        flat = np.linalg.norm(positions[:, :2] - np.asarray(self.position)[:2], axis=1)
-        return np.flatnonzero(flat <= self.radius_m + reach_m)
+        x, y = np.asarray(self.position)[:2]
+        squared = (positions[:, 0] - x) ** 2 + (positions[:, 1] - y) ** 2
+        return np.flatnonzero(squared <= (self.radius_m + reach_m) ** 2)
 
 
 def _widen(value: float, separation: float, limit: float) -> float:

@@ -15,7 +15,7 @@ namespace {
 constexpr std::size_t kGroup = 4;        // queries that a scan takes together
 constexpr std::size_t kQueryBatch = 16;  // queries that share a block while it is in cache
 
-constexpr std::size_t kBoxedQueries = 64;  // of a single search for which boxes pay
+constexpr std::size_t kBoxedQueries = 384;  // of a single search for which boxes pay
 
 constexpr std::size_t kSelectedBytes = std::size_t{1} << 28;  // of a worker's selections, at most
 

@@ -19,8 +19,8 @@ namespace segloc {
 // nearest. Neither the lists nor the answers depend on the number of threads.
 class DescriptorIndex {
  public:
-  // dim > 0, lists > 0. Without `boxes` no block is skipped: they cost as much as the search for
-  // some tens of queries.
+  // dim > 0, lists > 0. Without `boxes` no block is skipped: they cost what they spare to some
+  // hundreds of queries.
   DescriptorIndex(const DescriptorRows& database, std::size_t lists, Isa isa, int threads,
                   bool boxes = true);
 

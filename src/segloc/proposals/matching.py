@@ -98,15 +98,16 @@ class Matcher:
         self._index = _index(prior_map, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
-        self._rows: Int64 | None = None  # map rows to search; None: all
+        self._among: tuple[Int64, Float32] | None = None  # rows to search, their vectors; None: all
 
     def among(self, rows: Int64) -> Matcher:
-        """Return a matcher for some of the map's segments; its search is exact."""
-        some = copy(self)
-        coded = self._map.coded_vectors
+        """Return a matcher for some of the map's segments; its search is exact.
+
+        It has no index: one would cost as much as the searches of several queries.
+        """
+        some, coded = copy(self), self._map.coded_vectors
         vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
-        some._index = _native.DescriptorIndex(vectors, 1, self._threads)
-        some._rows = rows
+        some._among = rows, vectors
         return some
 
     def cheaper(self, growth: float, probes: int) -> Matcher:
@@ -121,15 +122,18 @@ class Matcher:
         Their number is by default that of the configuration. The score of a match is
         exp(-distance), times the quality of both descriptors if they have one.
         """
-        among = len(self._map) if self._rows is None else len(self._rows)
+        among = len(self._map) if self._among is None else len(self._among[0])
         count = neighbours or self.config.neighbours_among(among, len(query))
-        nearest, distances = self._index.search(
-            query.vectors, count, self.config.probes, self._threads
-        )
+        if self._among is None:
+            nearest, distances = self._index.search(
+                query.vectors, count, self.config.probes, self._threads
+            )
+        else:
+            map_rows, vectors = self._among
+            few, distances = _native.knn(query.vectors, vectors, count, self._threads)
+            nearest = map_rows[few]
         rows = np.repeat(np.arange(len(query), dtype=np.int64), nearest.shape[1])
         columns, distance = nearest.reshape(-1), distances.reshape(-1)
-        if self._rows is not None:
-            columns = self._rows[columns]
         score = np.exp(-distance)
         if query.quality is not None and self.map_quality is not None:
             score *= query.quality[rows] * self.map_quality[columns]
