@@ -14,10 +14,10 @@ from samples.plaza import Plaza, PlazaSequence
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
-from segloc import Config, Localizer, build_map, geometry
+from segloc import Config, Localizer, Scan, build_map, geometry
 from segloc._native import PointIndex, VisibilityCheck
 from segloc.frontend.segmentation import Segmentation
-from segloc.likelihood import Aligned, Count, QueryCloud, VerificationConfig
+from segloc.likelihood import Aligned, Count, Posterior, QueryCloud, VerificationConfig
 from segloc.likelihood.registration import Aligner, Alignment
 from segloc.localization import Reason
 from segloc.map.compact import CompactConfig
@@ -196,6 +196,38 @@ def test_fits_that_converge_to_one_pose_are_one_place(
         if np.linalg.norm(place.T_map_local[:2, 3] - T_map_local[:2, 3]) < 1.0
     ]
     assert len(near) == 1
+
+
+def test_a_pose_is_sure_beside_places_that_do_not_become_it(
+    plaza: Plaza, localizer: Localizer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth, rng = geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)), np.random.default_rng(0)
+    scan = plaza.scan(truth, seed=7)
+    clutter = rng.uniform((-15, -15, -1.2), (15, 15, 2), (12_000, 3)).astype(np.float32)
+    points = np.concatenate([scan.points, clutter])
+    query = localizer.describe(Scan(points, T_odom_sensor=scan.T_odom_sensor))
+    right = truth @ geometry.inverse(query.cloud.T_local_sensor)
+
+    def moved(x: float, y: float, degrees: float = 0.0) -> Candidate:
+        T = right @ geometry.yaw_transform(np.radians(degrees))
+        T[:2, 3] += x, y
+        return Candidate(T, 0)
+
+    likelihood = localizer.likelihood
+    monkeypatch.setattr(likelihood.cloud, "around", lambda *_: [])
+    becoming = [moved(0, 0, 16), moved(0, 0, -16)]
+    elsewhere = [moved(9, 0), moved(0, 9)]
+
+    def measured(*others: Candidate) -> Posterior | None:
+        scorer = likelihood.scorer(likelihood.query(query.scene))
+        scorer.add([moved(0, 0), *others])
+        return scorer.measure_at_once()
+
+    assert measured(*becoming) is None  # beside nothing
+    for others in (elsewhere, [*becoming, *elsewhere]):
+        posterior = measured(*others)
+        assert posterior is not None and posterior.confidence > 0.999
+        assert np.linalg.norm(posterior.places[0].T_map_local[:2, 3] - right[:2, 3]) < 0.1
 
 
 def test_a_corner_lies_on_two_planes(plaza: Plaza) -> None:

@@ -285,15 +285,25 @@ class Scorer:
         places, surrounded = [replace(place) for place in self.places], list(self._surrounded)
         most = sorted(self.places, key=lambda place: -place.overlap)
         self._meet(most[:rivals])
+        first = max(self.places, key=lambda place: place.promise)
+        # One may be itself, and more may have become it.
+        while self._met_beside(first) < rivals - 1 and len(self._rivals) < len(most):
+            self._meet(most[: len(self._rivals) + 1])
         self._decide()
         leader = self._leader()
-        if leader is not None and leader.log_ratio >= self._sure:
-            met = np.array([T for T, _ in self._rivals]).reshape(-1, 4, 4)
-            apart = self._separation.apart_from(leader.T_map_local[None], met)
-            if int(apart.sum()) >= rivals - 1:  # one may be itself, more may have become it
-                return True
+        if (
+            leader is not None
+            and leader.log_ratio >= self._sure
+            and self._met_beside(leader) >= rivals - 1
+        ):
+            return True
         self.places, self._surrounded = places, surrounded
         return False
+
+    def _met_beside(self, place: Trial) -> int:
+        """Return how many of the rivals that were met are elsewhere."""
+        met = np.array([T for T, _ in self._rivals]).reshape(-1, 4, 4)
+        return int(self._separation.apart_from(place.T_map_local[None], met).sum())
 
     def posterior(self) -> Posterior:
         """Return the posterior of what was measured; the rest has a share by its promise.
@@ -320,7 +330,7 @@ class Scorer:
             return None
         first = max(self.places, key=lambda place: place.rough)
         self._align(first)
-        if first.known is not None or first.promise >= -self._threshold:
+        if not self._is_hopeless(first, first.promise):
             self._surround(first)
         return first
 
@@ -379,14 +389,18 @@ class Scorer:
             self._align(place)
             self._merge(place)
             return
-        is_hopeless = self._is_out(place, place.promise)
-        self._measure(place, align=not is_hopeless)
-        if is_hopeless and not self._is_out(place, place.log_ratio):
+        is_out = self._is_out(place, place.promise)
+        self._measure(place, align=not is_out)
+        if is_out and not self._is_out(place, place.log_ratio):
             self._measure(place)
 
     def _is_out(self, place: Trial, odds: float) -> bool:
-        """Return whether a place cannot compete by its log-odds; in a thorough search any may."""
-        return not self._thorough and place.known is None and odds < -self._threshold
+        """Return whether a hopeless place is out; in a thorough search none is."""
+        return not self._thorough and self._is_hopeless(place, odds)
+
+    def _is_hopeless(self, place: Trial, odds: float) -> bool:
+        """Return whether a place cannot compete by its log-odds; a known one always may."""
+        return place.known is None and odds < -self._threshold
 
     def _measure(self, place: Trial, *, align: bool = True) -> None:
         """Measure a place to the end; one that meets another place is the same."""
@@ -512,8 +526,7 @@ class Scorer:
         Alignments with some of the points err by centimetres, which must not tell copies apart.
         """
         for place in self.places:
-            may_compete = place.known is not None or place.promise >= -self._threshold
-            if place.fit is None or not may_compete:
+            if place.fit is None or self._is_hopeless(place, place.promise):
                 continue
             if not self._separation.apart(place.T_map_local, T_map_local):
                 return place.fit.walls

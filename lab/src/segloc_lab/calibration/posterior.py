@@ -360,7 +360,7 @@ def reliability_table(records: Records, decisions: Decisions) -> Table:
         for name, chosen in parts.items()
         for low, high in pairwise((*BINS[:-1], 1.0 + 1e-9))
     ]
-    columns = ("kinds", "probability", "wrong", "expected wrong")
+    columns = ("queries", "probability", "wrong", "expected wrong")
     return Table(
         columns, rows, f"Repeating: {', '.join(ALIKE)}, where views can tell.", "Reliability"
     )
