@@ -10,6 +10,7 @@ from samples.streams import T_MAP_ODOM, off_m
 
 from segloc import Config, InvalidScan, Localizer, Scan, SegmentMap, geometry
 from segloc.likelihood import VerificationConfig
+from segloc.proposals.first_sight import FirstSightConfig
 from segloc.tracker import Track, Tracker, TrackerConfig
 from segloc.tracking.belief import Status
 from segloc.types import Float64
@@ -43,10 +44,11 @@ def test_the_first_view_gives_the_posterior_of_its_query_and_later_ones_add_to_i
 
 
 def strict(plaza_map: SegmentMap, min_confidence: float) -> Localizer:
-    config = Config.preset("geo").model_copy(
-        update={"verification": VerificationConfig(min_confidence=min_confidence)}
-    )
-    return Localizer(plaza_map, config)
+    sections = {
+        "verification": VerificationConfig(min_confidence=min_confidence),
+        "first_sight": FirstSightConfig(enabled=False),  # does not ask segments
+    }
+    return Localizer(plaza_map, Config.preset("geo").model_copy(update=sections))
 
 
 def test_views_that_are_not_believed_alone_are_once_they_agree(
