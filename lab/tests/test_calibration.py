@@ -19,7 +19,6 @@ from segloc_lab.calibration.posterior import (
     fit,
     fitted,
     records_of,
-    without_ground,
 )
 from segloc_lab.calibration.rows import ALIGNED, HOME, ROUGH, Rows
 from segloc_lab.calibration.worlds import (
@@ -43,8 +42,7 @@ from segloc.likelihood import shipped_model
 @pytest.mark.parametrize("ground", [True, False])
 def test_the_shipped_weights_are_those_of_the_kept_rows(ground: bool) -> None:
     rows, model = Rows.load(KEPT), shipped_model(ground=ground)
-    records = records_of(rows)
-    found, promised = fitted(records if ground else without_ground(records))
+    found, promised = fitted(records_of(rows, ground=ground))
     assert np.allclose(found, [*(model.weights[n] for n in FEATURES), model.none], atol=0.02)
     assert np.allclose(promised["rough"].weights, model.rough.weights, atol=0.02)
     assert np.allclose(promised["aligned"].weights, model.aligned.weights, atol=0.02)

@@ -137,6 +137,9 @@ class Model(Section):
     weights: Mapping[str, float] = Field(
         description="weight of each feature; natural logarithms, no unit"
     )
+    walls_power: float = Field(
+        2.0, gt=0, description="power by which the log-ratio of walls counts, with its sign"
+    )
     none: float = Field(description='score of "not in this map"')
     rough: Promise = Field(description="of places before alignment")
     aligned: Promise = Field(description="of places after alignment with some of the points")
@@ -158,7 +161,8 @@ class Model(Section):
 
     def shares(self, features: Sequence[float]) -> dict[str, float]:
         """Return the share of each feature in the log-ratio of a pose, by name."""
-        return {name: self.weights[name] * x for name, x in terms_of(features).items()}
+        terms = terms_of(features, self.walls_power)
+        return {name: self.weights[name] * x for name, x in terms.items()}
 
     def margin(self, inliers: int, elsewhere: int) -> float:
         """Return the log-ratio of a pose to another that differs only in its inliers."""
@@ -206,11 +210,14 @@ def features_of(
     )
 
 
-def terms_of(features: Sequence[float]) -> dict[str, float]:
-    """Return what is weighed, by name and in order: :func:`features_of`, by how much they tell."""
+def terms_of(features: Sequence[float], walls_power: float) -> dict[str, float]:
+    """Return what is weighed, by name and in order: :func:`features_of`, by how much they tell.
+
+    Things that were moved make a few pieces of wall differ, but not many: the square of the
+    log-ratio of walls tells more. But in the mirror image of a room most walls are the same.
+    """
     terms = by_name(features)
-    # Things that were moved make a few pieces of wall differ, but not many.
-    terms["walls_over_rival"] *= abs(terms["walls_over_rival"])
+    terms["walls_over_rival"] *= abs(terms["walls_over_rival"]) ** (walls_power - 1.0)
     telling = 1.0 + _OFF_PLANES_TELL * terms["off_planes"]
     for name in _COMPARED:
         terms[name] *= telling

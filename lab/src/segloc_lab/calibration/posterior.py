@@ -57,6 +57,9 @@ BINS = (0.5, 0.9, 0.99, 0.999, 1.0)
 CONFIDENCES = (0.8, 0.9, 0.95, 0.99, 0.999)
 ALIKE = ("offices", "warehouse")
 """Kinds of worlds whose parts repeat."""
+WALLS_POWER = {True: 2.0, False: 1.0}
+"""Power by which walls count in maps with ground, and without: real rooms that were mapped without
+ground are believed in their mirror image by the square."""
 _COLUMN = {name: k for k, name in enumerate(MEASURES)}
 _BEFORE = [_COLUMN[name] for name in ROUGH + ALIGNED]
 Mask = NDArray[np.bool_]
@@ -132,36 +135,31 @@ class Records:
         return np.where(self.right.any(axis=1), first, most)
 
 
-def without_ground(records: Records) -> Records:
-    """Drop what ground says, as in maps without any, and what the extent of a map says.
+def records_of(rows: Rows, *, ground: bool = True) -> Records:
+    """Compute the features of all poses, query by query.
 
-    Maps without ground are finished clouds: they lack more of their places than those of the rows
-    do, and hold what nothing on the path saw.
+    In maps without ground it says nothing, nor does the extent of a map: they are finished clouds,
+    which hold what nothing on the path saw.
     """
-    features = records.features.copy()
-    features[..., [FEATURES.index(name) for name in ("ground", "overlap", "in_view")]] = 0.0
-    return replace(records, features=features)
-
-
-def records_of(rows: Rows) -> Records:
-    """Compute the features of all poses, query by query."""
     count, most = len(rows), int(np.diff(rows.spans).max(initial=1))
     features = np.zeros((count, most, len(FEATURES)))
     before = np.zeros((count, most, len(_BEFORE)))
     poses, right, false = (np.zeros((count, most), bool) for _ in range(3))
     for k, (first, end) in enumerate(track(rows.spans, "features")):
         fits, n = rows.fits[first:end], end - first
-        features[k, :n], before[k, :n] = described(fits), fits[:, _BEFORE]
+        features[k, :n], before[k, :n] = described(fits, WALLS_POWER[ground]), fits[:, _BEFORE]
         error, turned = fits[:, _COLUMN["error_m"]], fits[:, _COLUMN["error_deg"]]
         found = is_right(error, turned) & (rows.place[k] in HOME)
         poses[k, :n], right[k, :n], false[k, :n] = True, found, ~found
+    if not ground:
+        features[..., [FEATURES.index(name) for name in ("ground", "in_view")]] = 0.0
     names = {name: k for k, name in enumerate(dict.fromkeys(rows.world))}
     world = np.array([names[name] for name in rows.world])
     kind = np.array([name.rsplit("-", 1)[0] for name in rows.world])
     return Records(features, before, poses, right, false, world, kind, rows.place)
 
 
-def described(rows: Float32) -> Float64:
+def described(rows: Float32, walls_power: float) -> Float64:
     """Compute the features of the poses of one query in one map, (N, K).
 
     Each is compared with the rival that overlaps most, as by a scorer.
@@ -173,7 +171,7 @@ def described(rows: Float32) -> Float64:
         others = [rivals[other] for other in by_overlap if other != k]
         elsewhere, walls = int(row[_COLUMN["elsewhere"]]), row[_COLUMN["walls"]]
         features = features_of(Fit.of(row), rivals[k][0], others, elsewhere, walls)
-        found.append((*terms_of(features).values(),))
+        found.append((*terms_of(features, walls_power).values(),))
     return np.array(found, np.float64).reshape(-1, len(FEATURES))
 
 
@@ -415,10 +413,17 @@ def card(records: Records, decisions: Decisions, rows: Rows) -> dict[str, Any]:
     }
 
 
-def write(path: Path, weights: Float64, promised: dict[str, Promise], card: dict[str, Any]) -> None:
+def write(
+    path: Path,
+    weights: Float64,
+    walls_power: float,
+    promised: dict[str, Promise],
+    card: dict[str, Any],
+) -> None:
     """Replace the weights, the intervals and the card in a file of the model."""
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
+    model["walls_power"] = walls_power
     model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
     model["settings"]["verification"] = VerificationConfig().model_dump(
         mode="json", exclude={"min_confidence"}
@@ -447,9 +452,7 @@ def main() -> None:
     rows = Rows.joined([Rows.load(path) for path in paths])
     if args.join is not None:
         rows.save(args.join)
-    records = records_of(rows)
-    if args.without_ground:
-        records = without_ground(records)
+    records = records_of(rows, ground=not args.without_ground)
     weights, promised = fitted(records)
     decisions = held_out(records, folds(records))
     apart = told_apart(records)
@@ -470,7 +473,8 @@ def main() -> None:
     if args.figure is not None:
         draw(decisions, args.figure)
     if args.out is not None:
-        write(args.out, weights, promised, card(records, decisions, rows))
+        power = WALLS_POWER[not args.without_ground]
+        write(args.out, weights, power, promised, card(records, decisions, rows))
 
 
 if __name__ == "__main__":
