@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from samples.io import pcd
 from samples.plaza import Plaza, PlazaSequence
+from samples.real import real
 from samples.streams import off_m
 from samples.walk import run
 from scipy.spatial.transform import Rotation
+from segloc_lab.padding import mirrored
+from segloc_lab.recordings import posed
 
 from segloc import Config, DatasetError, InvalidScan, Localizer, SegmentMap, geometry
 from segloc.config import map_config
@@ -23,6 +26,7 @@ from segloc.map.from_cloud import ThinCloud
 from segloc.map.georeference import Georeference
 from segloc.map.viewpoints import Occluders, Sight
 from segloc.tools.cli.map_info import show
+from segloc.tools.datasets import open_sequence
 from segloc.tools.io import Trajectory, write_tum
 from segloc.types import Float64, Pose
 
@@ -54,6 +58,18 @@ def test_single_scans_are_found_in_a_cloud(site: SegmentMap, plaza: Plaza) -> No
     assert max(errors) < 0.5
     assert site.metadata["source"] == "cloud"
     assert site.has_ground and Localizer(site).likelihood.model is shipped_model()
+
+
+@pytest.mark.data
+def test_a_real_room_without_ground_is_found_and_not_believed_in_its_mirror_image() -> None:
+    sessions = [real("mid360_lab", day) for day in ("0618", "0622c")]
+    mapped, driven = (open_sequence(day / "scans", day / "poses.tum") for day in sessions)
+    prior_map = SegmentMap.from_cloud(posed(mapped), CONFIG)
+    assert not prior_map.has_ground
+    here, there = Localizer(prior_map), Localizer(mirrored(prior_map))
+    for k in range(0, len(driven), 8):
+        points = driven.scan(k).points
+        assert here.localize(points).localized and not there.localize(points).localized
 
 
 def test_scans_are_on_walls_that_are_as_thick_as_those_of_the_cloud(
