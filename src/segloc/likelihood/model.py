@@ -138,7 +138,7 @@ class Model(Section):
         description="weight of each feature; natural logarithms, no unit"
     )
     walls_power: float = Field(
-        2.0, gt=0, description="power by which the log-ratio of walls counts, with its sign"
+        2.0, ge=1, description="power by which the log-ratio of walls counts, with its sign"
     )
     none: float = Field(description='score of "not in this map"')
     rough: Promise = Field(description="of places before alignment")
