@@ -214,7 +214,8 @@ def terms_of(features: Sequence[float], walls_power: float) -> dict[str, float]:
     """Return what is weighed, by name and in order: :func:`features_of`, by how much they tell.
 
     Things that were moved make a few pieces of wall differ, but not many: the square of the
-    log-ratio of walls tells more. But in the mirror image of a room most walls are the same.
+    log-ratio of walls tells more. But in the mirror image of a room most walls are the same, and by
+    the square real rooms were believed there where no ground tells.
     """
     terms = by_name(features)
     terms["walls_over_rival"] *= abs(terms["walls_over_rival"]) ** (walls_power - 1.0)

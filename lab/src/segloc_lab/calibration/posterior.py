@@ -36,6 +36,7 @@ from segloc.likelihood import (
     Promise,
     VerificationConfig,
     features_of,
+    shipped_model,
     terms_of,
 )
 from segloc.tools.inspect import GREEN, PATH, RED
@@ -57,9 +58,6 @@ BINS = (0.5, 0.9, 0.99, 0.999, 1.0)
 CONFIDENCES = (0.8, 0.9, 0.95, 0.99, 0.999)
 ALIKE = ("offices", "warehouse")
 """Kinds of worlds whose parts repeat."""
-WALLS_POWER = {True: 2.0, False: 1.0}
-"""Power by which walls count in maps with ground, and without: real rooms that were mapped without
-ground are believed in their mirror image by the square."""
 _COLUMN = {name: k for k, name in enumerate(MEASURES)}
 _BEFORE = [_COLUMN[name] for name in ROUGH + ALIGNED]
 Mask = NDArray[np.bool_]
@@ -136,18 +134,19 @@ class Records:
 
 
 def records_of(rows: Rows, *, ground: bool = True) -> Records:
-    """Compute the features of all poses, query by query.
+    """Compute the features of all poses, query by query, as the model of such maps weighs them.
 
-    In maps without ground it says nothing, nor does the extent of a map: they are finished clouds,
-    which hold what nothing on the path saw.
+    Without ground, a map has no evidence in *ground* and *in view*: it is a finished cloud, which
+    holds what nothing on the path saw.
     """
+    walls_power = shipped_model(ground=ground).walls_power
     count, most = len(rows), int(np.diff(rows.spans).max(initial=1))
     features = np.zeros((count, most, len(FEATURES)))
     before = np.zeros((count, most, len(_BEFORE)))
     poses, right, false = (np.zeros((count, most), bool) for _ in range(3))
     for k, (first, end) in enumerate(track(rows.spans, "features")):
         fits, n = rows.fits[first:end], end - first
-        features[k, :n], before[k, :n] = described(fits, WALLS_POWER[ground]), fits[:, _BEFORE]
+        features[k, :n], before[k, :n] = described(fits, walls_power), fits[:, _BEFORE]
         error, turned = fits[:, _COLUMN["error_m"]], fits[:, _COLUMN["error_deg"]]
         found = is_right(error, turned) & (rows.place[k] in HOME)
         poses[k, :n], right[k, :n], false[k, :n] = True, found, ~found
@@ -413,17 +412,10 @@ def card(records: Records, decisions: Decisions, rows: Rows) -> dict[str, Any]:
     }
 
 
-def write(
-    path: Path,
-    weights: Float64,
-    walls_power: float,
-    promised: dict[str, Promise],
-    card: dict[str, Any],
-) -> None:
+def write(path: Path, weights: Float64, promised: dict[str, Promise], card: dict[str, Any]) -> None:
     """Replace the weights, the intervals and the card in a file of the model."""
     model = json.loads(path.read_text("utf-8"))
     model["weights"] = {n: round(float(w), 3) for n, w in zip(FEATURES, weights, strict=False)}
-    model["walls_power"] = walls_power
     model["none"], model["card"] = round(float(weights[-1]), 3), model["card"] | card
     model["settings"]["verification"] = VerificationConfig().model_dump(
         mode="json", exclude={"min_confidence"}
@@ -473,8 +465,7 @@ def main() -> None:
     if args.figure is not None:
         draw(decisions, args.figure)
     if args.out is not None:
-        power = WALLS_POWER[not args.without_ground]
-        write(args.out, weights, power, promised, card(records, decisions, rows))
+        write(args.out, weights, promised, card(records, decisions, rows))
 
 
 if __name__ == "__main__":
