@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from typing import Protocol
 
 import numpy as np
 from pydantic import Field
@@ -95,10 +96,9 @@ class Matcher:
         self._vectors = None if pruner is None else prior_map.vectors
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
-        self._index = _index(prior_map, max(lists, 1), threads)
+        self._index: _Index = _index(prior_map, max(lists, 1), threads)
         self._pruner = pruner
         self._threads = threads
-        self._among: tuple[Int64, Float32] | None = None  # rows to search, their vectors; None: all
 
     def among(self, rows: Int64) -> Matcher:
         """Return a matcher for some of the map's segments; its search is exact.
@@ -107,7 +107,7 @@ class Matcher:
         """
         some, coded = copy(self), self._map.coded_vectors
         vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
-        some._among = rows, vectors
+        some._index = _Rows(rows, vectors)
         return some
 
     def cheaper(self, growth: float, probes: int) -> Matcher:
@@ -122,16 +122,10 @@ class Matcher:
         Their number is by default that of the configuration. The score of a match is
         exp(-distance), times the quality of both descriptors if they have one.
         """
-        among = len(self._map) if self._among is None else len(self._among[0])
-        count = neighbours or self.config.neighbours_among(among, len(query))
-        if self._among is None:
-            nearest, distances = self._index.search(
-                query.vectors, count, self.config.probes, self._threads
-            )
-        else:
-            map_rows, vectors = self._among
-            few, distances = _native.knn(query.vectors, vectors, count, self._threads)
-            nearest = map_rows[few]
+        count = neighbours or self.config.neighbours_among(len(self._index), len(query))
+        nearest, distances = self._index.search(
+            query.vectors, count, self.config.probes, self._threads
+        )
         rows = np.repeat(np.arange(len(query), dtype=np.int64), nearest.shape[1])
         columns, distance = nearest.reshape(-1), distances.reshape(-1)
         score = np.exp(-distance)
@@ -148,6 +142,32 @@ class Matcher:
         )
         keep = score >= self.config.min_probability
         return _order(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
+
+
+class _Index(Protocol):
+    """Finds the nearest vectors of queries: their rows in the map, and distances."""
+
+    def __len__(self) -> int: ...
+
+    def search(
+        self, queries: Float32, k: int, probes: int, threads: int = 0
+    ) -> tuple[Int64, Float32]: ...
+
+
+class _Rows:
+    """Some rows of a map, all of which are searched, so ``probes`` is not used."""
+
+    def __init__(self, rows: Int64, vectors: Float32) -> None:
+        self._rows, self._vectors = rows, vectors
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def search(
+        self, queries: Float32, k: int, probes: int, threads: int = 0
+    ) -> tuple[Int64, Float32]:
+        few, distances = _native.knn(queries, self._vectors, k, threads)
+        return self._rows[few], distances
 
 
 def _index(prior_map: SegmentMap, lists: int, threads: int) -> _native.DescriptorIndex:
