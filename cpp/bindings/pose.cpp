@@ -6,6 +6,7 @@
 
 #include "bindings/bindings.h"
 #include "bindings/rigid.h"
+#include "common/angles.h"
 #include "common/portability.h"
 #include "common/rigid.h"
 #include "proposals/pose/agreement.h"
@@ -45,7 +46,6 @@ void require_matches(const In2<double>& query, const In2<double>& map,
 // Smaller tolerances would need too many cells.
 constexpr double kLeastTolerance = 1e-3;
 constexpr std::size_t kMostDraws = 1'000'000'000;
-constexpr double kPi = 3.14159265358979323846;
 
 auto consensus_(const In2<double>& query, const In2<double>& map,
                 const In1<std::int64_t>& match_query, const In1<std::int64_t>& match_map,

@@ -43,7 +43,7 @@ void radix_sort(std::vector<std::uint64_t>& keys, std::vector<std::uint32_t>& va
   }
 }
 
-Bounds bounds_of(const float* points, std::size_t n) {
+Extent extent_of(const float* points, std::size_t n) {
   float low[kExtentRun], high[kExtentRun];
   const std::size_t runs = 3 * n / kExtentRun;
   if (runs > 0) {
@@ -55,15 +55,15 @@ Bounds bounds_of(const float* points, std::size_t n) {
     low[i % 3] = std::min(low[i % 3], points[i]);
     high[i % 3] = std::max(high[i % 3], points[i]);
   }
-  Bounds bounds;
+  Extent extent;
   for (std::size_t a = 0; a < 3; ++a) {
     for (std::size_t k = a; k < kExtentRun; k += 3) {
       low[a] = std::min(low[a], low[k]);
       high[a] = std::max(high[a], high[k]);
     }
-    bounds.low[a] = low[a], bounds.high[a] = high[a];
+    extent.low[a] = low[a], extent.high[a] = high[a];
   }
-  return bounds;
+  return extent;
 }
 
 namespace {
@@ -74,12 +74,12 @@ constexpr std::size_t kChunk = 1024;  // points whose cells are computed at a ti
 // How cells are numbered. The lattice is fixed to the frame's origin, not to the cloud: the same
 // point always falls into the same cell, whatever else was seen.
 struct CellNumbers {
-  CellNumbers(const Bounds& bounds, double edge) : size(edge) {
+  CellNumbers(const Extent& extent, double edge) : size(edge) {
     std::int64_t first[3], count[3];
     double cells = 1.0;
     for (int a = 0; a < 3; ++a) {
-      const double begin = std::floor(bounds.low[a] / size);
-      const double end = std::floor(bounds.high[a] / size);
+      const double begin = std::floor(extent.low[a] / size);
+      const double end = std::floor(extent.high[a] / size);
       const double width = end - begin + 1.0 + 2.0 * CellOrder::kPad;
       cells *= width;
       if (!(std::abs(begin) < 4e18) || !(cells < 4.6e18)) {
@@ -265,7 +265,7 @@ void in_order(const Runs& runs, int bits, Visit&& visit) {
 CellNumbers numbered(const float* points, std::size_t n, double size) {
   if (!(size > 0.0)) throw std::invalid_argument("cell size must be positive");
   if (n > std::numeric_limits<std::uint32_t>::max()) throw std::invalid_argument("too many points");
-  return {n == 0 ? Bounds{} : bounds_of(points, n), size};
+  return {n == 0 ? Extent{} : extent_of(points, n), size};
 }
 
 }  // namespace

@@ -13,12 +13,12 @@ inline std::int64_t floor_of(double v) {
   return whole - (v < static_cast<double>(whole));
 }
 
-struct Bounds {
+struct Extent {
   double low[3], high[3];
 };
 
 // Of n > 0 points, (n, 3) row-major.
-Bounds bounds_of(const float* points, std::size_t n);
+Extent extent_of(const float* points, std::size_t n);
 
 // Points in the order of their cell keys. Keys run fastest along x and are padded by `kPad` cells
 // on every side, so that the key of a neighbour cell is the cell's own key plus a constant.

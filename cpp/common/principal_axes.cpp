@@ -3,12 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/angles.h"
+
 namespace segloc {
-namespace {
-
-constexpr double kPi = 3.14159265358979323846;
-
-}  // namespace
 
 Symmetric covariance(const PointSums& sums) {
   const double n = static_cast<double>(sums.count);

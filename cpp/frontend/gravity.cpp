@@ -4,6 +4,7 @@
 #include <cmath>
 #include <memory>
 
+#include "common/angles.h"
 #include "common/cells.h"
 #include "common/eigen_axes.h"
 #include "simd/kernels.h"
@@ -14,7 +15,7 @@ namespace {
 // From the air the nearest points may all be roofs: the range is at least kFar times the median
 // range, but at most kFarthest times the usual one.
 constexpr double kFar = 1.5, kFarthest = 3.0;
-constexpr double kStart = 8.0 * 3.14159265358979323846 / 180.0;  // agreement ends there, radians
+constexpr double kStart = 8.0 * kPi / 180.0;  // agreement ends there, radians
 constexpr std::size_t kLanes = 16;
 
 float squared_range(const float* p) { return p[0] * p[0] + p[1] * p[1] + p[2] * p[2]; }

@@ -49,15 +49,15 @@ struct Grid {
 };
 
 Grid lowest_points(const float* points, std::size_t n, double cell) {
-  const Bounds bounds = bounds_of(points, n);
-  for (const double v : {bounds.low[0], bounds.low[1], bounds.high[0], bounds.high[1]}) {
+  const Extent extent = extent_of(points, n);
+  for (const double v : {extent.low[0], extent.low[1], extent.high[0], extent.high[1]}) {
     if (!(std::abs(v) / cell < kMostCells))
       throw std::invalid_argument("the cloud is too far from the origin for this ground cell");
   }
   double first[2], count[2];
   for (int a = 0; a < 2; ++a) {
-    first[a] = std::floor(bounds.low[a] / cell);
-    count[a] = std::floor(bounds.high[a] / cell) - first[a] + 1;
+    first[a] = std::floor(extent.low[a] / cell);
+    count[a] = std::floor(extent.high[a] / cell) - first[a] + 1;
   }
   if (!(count[0] * count[1] <= kMaxCells))
     throw std::invalid_argument("the cloud is too wide for a ground grid");

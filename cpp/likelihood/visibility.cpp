@@ -5,13 +5,13 @@
 #include <cmath>
 #include <limits>
 
+#include "common/angles.h"
 #include "common/rigid.h"
 #include "frontend/crop.h"
 
 namespace segloc {
 namespace {
 
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 constexpr float kFar = std::numeric_limits<float>::infinity();
 constexpr double kBeyond = 1.01;     // radii that a point may lie beyond the range and be near
 constexpr double kGroundCell = 3.0;  // metres

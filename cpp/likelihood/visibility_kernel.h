@@ -1,6 +1,7 @@
 // Pixels of a range image. The compiler turns the loop into vectors: no branches.
 #pragma once
 
+#include "common/angles.h"
 #include "simd/kernels.h"
 #include "simd/simd.h"
 
@@ -10,13 +11,12 @@ namespace {
 
 // Hastings' polynomial (Approximations for Digital Computers, 1955), in degrees; 0 of nothing.
 inline double quick_atan2(double y, double x) {
-  constexpr double degrees = 180.0 / 3.14159265358979323846;
   const double across = x < 0.0 ? -x : x, up = y < 0.0 ? -y : y;
   const double less = across < up ? across : up, more = across < up ? up : across;
   const double t = less / (more > 0.0 ? more : 1.0), t2 = t * t;
   const double odd =
       -0.33262347 + t2 * (0.19354346 + t2 * (-0.11643287 + t2 * (0.05265332 + t2 * -0.01172120)));
-  double angle = t * (0.99997726 + t2 * odd) * degrees;
+  double angle = t * (0.99997726 + t2 * odd) * kDegrees;
   angle = up > across ? 90.0 - angle : angle;
   angle = x < 0.0 ? 180.0 - angle : angle;
   return y < 0.0 ? -angle : angle;

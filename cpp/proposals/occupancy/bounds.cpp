@@ -3,12 +3,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/angles.h"
 #include "common/portability.h"
 
 namespace segloc {
 namespace {
-
-constexpr double kPi = 3.14159265358979323846;
 
 // Every how many columns is scored first, and how many free cells. Fewer free cells than
 // `kFewestFree` count as that number.

@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/angles.h"
 #include "common/parallel.h"
 
 namespace segloc {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr double kStrips = 4;       // as wide, together, as the radius of an image
 constexpr std::size_t kGrain = 16;  // places
 

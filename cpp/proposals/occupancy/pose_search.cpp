@@ -5,12 +5,11 @@
 #include <tuple>
 #include <utility>
 
+#include "common/angles.h"
 #include "proposals/occupancy/bounds.h"
 
 namespace segloc {
 namespace {
-
-constexpr double kPi = 3.14159265358979323846;
 
 // Parts are first scored with some columns; this multiple of `width` of them with all columns.
 // At the last level fewer: an eighth of `width`, or a multiple of the poses wanted.

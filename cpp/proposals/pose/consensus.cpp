@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/angles.h"
 #include "common/parallel.h"
 #include "proposals/pose/match_table.h"
 #include "proposals/pose/pose_refinement.h"
@@ -13,7 +14,6 @@
 namespace segloc {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr double kSameStart = 0.75 * kPi / 180.0;
 
 double wrap(double angle) { return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi) + 0.5); }

@@ -5,13 +5,13 @@
 #include <atomic>
 #include <cmath>
 
+#include "common/angles.h"
 #include "common/parallel.h"
 #include "proposals/pose/hough_accumulator.h"
 
 namespace segloc {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr double kSlack = 1.0;  // metres that half a step of yaw moves a typical segment
 constexpr int kMinSteps = 36, kMaxSteps = 240;
 constexpr int kMinBits = 16, kMaxBits = 18;  // cells of a table; larger maps are folded into it
