@@ -246,6 +246,7 @@ class Scorer:
         self._thorough = thorough
         first = self._begin()
         if thorough or not self._is_sure(first, -self._threshold):
+            self._rivals = []
             self._meet(self._promising())
             self._decide()
         return self.posterior()
@@ -284,11 +285,12 @@ class Scorer:
         """
         places, surrounded = [replace(place) for place in self.places], list(self._surrounded)
         most = sorted(self.places, key=lambda place: -place.overlap)
+        self._rivals = []
         self._meet(most[:rivals])
         first = max(self.places, key=lambda place: place.promise)
         # One may be itself, and more may have become it.
         while self._met_beside(first) < rivals - 1 and len(self._rivals) < len(most):
-            self._meet(most[: len(self._rivals) + 1])
+            self._meet([most[len(self._rivals)]])
         self._decide()
         leader = self._leader()
         if (
@@ -335,8 +337,7 @@ class Scorer:
         return first
 
     def _meet(self, rivals: Sequence[Trial]) -> None:
-        """Align rivals: with the best of them each pose is compared."""
-        self._rivals = []
+        """Align more rivals: with the best of all each pose is compared."""
         if not rivals:
             return
         for place in rivals:
