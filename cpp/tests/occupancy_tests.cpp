@@ -1,4 +1,5 @@
 // The occupancy search, at every size from nothing up.
+#include "common/angles.h"
 #include "proposals/occupancy/occupancy_pyramid.h"
 #include "proposals/occupancy/polar_images.h"
 #include "proposals/occupancy/pose_search.h"
@@ -81,7 +82,7 @@ void sees_each_cell_once() {
     for (std::size_t k = 0; k < 2; ++k) {
       const double dx = cells[2 * i] - places[2 * k], dy = cells[2 * i + 1] - places[2 * k + 1];
       const double ring = std::hypot(dx, dy) / 1.5;
-      const double turn = std::atan2(dy, dx) / (2 * 3.14159265358979323846);
+      const double turn = std::atan2(dy, dx) / (2 * kPi);
       const int sector = static_cast<int>(std::floor(16 * turn) + 16) % 16;
       int seen = 0;
       for (std::size_t j = 0; j < 128; ++j) seen += one[128 * k + j];

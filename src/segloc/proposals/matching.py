@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
-from typing import Protocol
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +16,9 @@ from ..types import Descriptors, Float32, Int64, Matches
 
 _MOST_ALONE = 32_768
 """Most matches of a query where nothing but segments proposes poses: as many as vote."""
+
+_Nearest = Callable[[Float32, int, int, int], tuple[Int64, Float32]]
+"""Finds the k nearest vectors of queries, in some lists: their rows in the map, and distances."""
 
 
 class MatchingConfig(Section):
@@ -96,7 +99,8 @@ class Matcher:
         self._vectors = None if pruner is None else prior_map.vectors
         large = len(prior_map) > self.config.indexed_from
         lists = len(prior_map) // self.config.list_size if large else 1
-        self._index: _Index = _index(prior_map, max(lists, 1), threads)
+        self._size = len(prior_map)
+        self._nearest: _Nearest = _index(prior_map, max(lists, 1), threads).search
         self._pruner = pruner
         self._threads = threads
 
@@ -107,7 +111,12 @@ class Matcher:
         """
         some, coded = copy(self), self._map.coded_vectors
         vectors = np.ascontiguousarray(coded.rows(rows) if coded else self._map.vectors[rows])
-        some._index = _Rows(rows, vectors)
+
+        def nearest(queries: Float32, k: int, _: int, threads: int) -> tuple[Int64, Float32]:
+            few, distances = _native.knn(queries, vectors, k, threads)
+            return rows[few], distances
+
+        some._size, some._nearest = len(rows), nearest
         return some
 
     def cheaper(self, growth: float, probes: int) -> Matcher:
@@ -122,10 +131,8 @@ class Matcher:
         Their number is by default that of the configuration. The score of a match is
         exp(-distance), times the quality of both descriptors if they have one.
         """
-        count = neighbours or self.config.neighbours_among(len(self._index), len(query))
-        nearest, distances = self._index.search(
-            query.vectors, count, self.config.probes, self._threads
-        )
+        count = neighbours or self.config.neighbours_among(self._size, len(query))
+        nearest, distances = self._nearest(query.vectors, count, self.config.probes, self._threads)
         rows = np.repeat(np.arange(len(query), dtype=np.int64), nearest.shape[1])
         columns, distance = nearest.reshape(-1), distances.reshape(-1)
         score = np.exp(-distance)
@@ -142,32 +149,6 @@ class Matcher:
         )
         keep = score >= self.config.min_probability
         return _order(matches.query[keep], matches.map[keep], matches.distance[keep], score[keep])
-
-
-class _Index(Protocol):
-    """Finds the nearest vectors of queries: their rows in the map, and distances."""
-
-    def __len__(self) -> int: ...
-
-    def search(
-        self, queries: Float32, k: int, probes: int, threads: int = 0
-    ) -> tuple[Int64, Float32]: ...
-
-
-class _Rows:
-    """Some rows of a map, all of which are searched, so ``probes`` is not used."""
-
-    def __init__(self, rows: Int64, vectors: Float32) -> None:
-        self._rows, self._vectors = rows, vectors
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def search(
-        self, queries: Float32, k: int, probes: int, threads: int = 0
-    ) -> tuple[Int64, Float32]:
-        few, distances = _native.knn(queries, self._vectors, k, threads)
-        return self._rows[few], distances
 
 
 def _index(prior_map: SegmentMap, lists: int, threads: int) -> _native.DescriptorIndex:
