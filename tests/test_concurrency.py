@@ -63,8 +63,11 @@ warnings.simplefilter("ignore")
 from samples.maps import make_map
 from samples.plaza import Plaza, PlazaSequence
 from segloc import Config, Localizer, build_map, geometry
+from segloc.proposals.first_sight import FirstSightConfig
 plaza = Plaza(0)
-config = Config.preset("profile").model_copy(update={{"threads": 2}})  # a pool in each process
+late = FirstSightConfig(enabled=False)  # descriptors are computed, too
+config = Config.preset("profile")  # with a pool in each process
+config = config.model_copy(update={{"threads": 2, "first_sight": late}})
 localizer = Localizer(build_map(PlazaSequence(plaza, steps=3), config), config)
 scan = plaza.scan(geometry.yaw_transform(0.3, (-8.0, 1.0, 1.7)))
 expected = localizer.localize(scan).T_map_sensor.tobytes()
@@ -109,7 +112,7 @@ def test_queries_change_nothing(localizer: Localizer, scans: list[Scan]) -> None
     assert threading.active_count() < 50
 
 
-def test_columns_that_threads_join_at_once_are_whole() -> None:
+def test_what_threads_join_at_once_is_whole() -> None:
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
@@ -117,11 +120,13 @@ def test_columns_that_threads_join_at_once_are_whole() -> None:
             for _ in range(200):
                 growing, together = make_map(views=6, segments=1), threading.Barrier(4)
                 read = [pool.submit(lengths, growing, together) for _ in range(4)]
-                assert {each.result() for each in read} == {(6,) * 7}
+                points = len(make_map(views=6, segments=1).cloud)
+                assert {each.result() for each in read} == {(6,) * 7 + (points,)}
     finally:
         sys.setswitchinterval(interval)
 
 
 def lengths(growing: SegmentMap, together: threading.Barrier) -> tuple[int, ...]:
     together.wait()
-    return tuple(len(column) for column in growing.columns().values())
+    points = len(growing.cloud)
+    return *(len(column) for column in growing.columns().values()), points

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,6 +14,7 @@ from .errors import ConfigError, MapMismatch
 from .frontend.local_cloud import Accumulator, Scans
 from .frontend.segmentation import Segmentation, Segmenter
 from .likelihood import Likelihood, Posterior, shipped_model
+from .likelihood.clouds import Clouds
 from .likelihood.model import as_by_chance
 from .likelihood.observation import MapCloud, QueryCloud
 from .localization import Localization
@@ -115,8 +116,10 @@ class Localizer:
         matching = config.matching if self.proposers else config.matching.alone(len(prior_map))
         pruner = self.descriptor.pruner
         self.matcher = Matcher(prior_map, matching, pruner=pruner, threads=threads)
-        self.likelihood = likelihood or likelihood_of(prior_map, config)
-        self._again = partial(
+        self.likelihood = likelihood or likelihood_of(
+            cloud_of(prior_map, config), prior_map, config
+        )
+        self._again: Callable[[], Localizer] = partial(
             Localizer,
             prior_map,
             config,
@@ -165,7 +168,7 @@ class Localizer:
         """Compute the query: scans -> local cloud -> segments -> descriptors."""
         times = times or StageTimes(self.clock)
         with times("gathering"):
-            cloud = scans if isinstance(scans, LocalCloud) else self.accumulator.gather(scans)
+            cloud = self.accumulator.gather(scans)
         with times("segmentation"):
             scene = self.segmenter.segment(cloud)
         return Query(cloud, scene, partial(self._descriptors, scene, times))
@@ -226,7 +229,7 @@ class Localizer:
         """Search the map: proposals -> fits -> posterior, with all intermediate results.
 
         A pose at first sight is accepted if it is as sure as can be. Else segments are matched; if
-        they are inconclusive, the proposers are used, in order, until a place is accepted.
+        they are inconclusive, all proposers are used, and what they propose is measured together.
 
         Parameters
         ----------
@@ -368,14 +371,10 @@ def proposers_of(
     return tuple(found)
 
 
-def likelihood_of(prior_map: SegmentMap, config: Config) -> Likelihood:
-    """Return the likelihood of the map's own cloud."""
-    return Likelihood(
-        cloud_of(prior_map, config),
-        config.verification,
-        separation=config.pose.separation,
-        model=shipped_model(ground=prior_map.has_ground),
-    )
+def likelihood_of(cloud: Clouds, prior_map: SegmentMap, config: Config) -> Likelihood:
+    """Return the likelihood of a map's own cloud."""
+    model = shipped_model(ground=prior_map.has_ground)
+    return Likelihood(cloud, config.verification, config.pose.separation, model)
 
 
 def cloud_of(prior_map: SegmentMap, config: Config) -> MapCloud:

@@ -185,5 +185,5 @@ def allowed(near: Prior | None) -> Callable[[Pose], bool]:
 
 
 def within(near: Prior | None, candidates: list[Candidate]) -> list[Candidate]:
-    """Return the candidates within the radius."""
+    """Return the candidates that a prior allows."""
     return [c for c in candidates if near is None or near.holds(c.T_map_local)]

@@ -309,8 +309,7 @@ class Tracker:
 
     def _compare(self, request: QueryRequest) -> QueryRequest:
         """Compare the newest scan at the hypotheses alone."""
-        scans, gather = request.scans, self.localizer.accumulator.gather
-        cloud = scans if isinstance(scans, LocalCloud) else gather(scans)
+        cloud = self.localizer.accumulator.gather(request.scans)
         rivals = _by_storey(request, _known_poses(request, cloud))
         return replace(request, places=self._compared(request, cloud, rivals))
 
@@ -330,7 +329,7 @@ class Tracker:
                 place.T_map_local @ T_local_odom,
                 place.evidence,
                 known.information(place.unknown),
-                math.log(max(p, _MIN_PROBABILITY) / max(none, _MIN_PROBABILITY)),
+                math.log(max(p, _MIN_PROBABILITY) / none),
                 geometry.rotated_covariance(place.covariance, cloud.T_local_sensor),
             )
             for place, p in zip(posterior.places, posterior.probabilities, strict=True)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from segloc import _native, geometry
 from segloc.frontend.segmentation import Segmentation, Segmenter
 from segloc.geometry import Separation
-from segloc.likelihood import Count, Likelihood, Posterior
+from segloc.likelihood import Count, Likelihood, Posterior, VerificationConfig, shipped_model
 from segloc.likelihood.nearby import NearbySearch
 from segloc.likelihood.next_view import next_view
 from segloc.likelihood.observation import MapCloud, close_surface
@@ -147,7 +147,12 @@ def test_a_place_one_period_off_is_found_from_its_alias() -> None:
 
 def posterior(cloud: Float32, seen: Float32, candidate: Candidate) -> Posterior:
     path = np.zeros((1, 3))
-    likelihood = Likelihood(MapCloud(cloud, np.zeros(3), Separation(), 0, False, path))
+    likelihood = Likelihood(
+        MapCloud(cloud, np.zeros(3), Separation(), 0, False, path),
+        VerificationConfig(),
+        Separation(),
+        shipped_model(),
+    )
     scorer = likelihood.scorer(likelihood.query(scene(seen)), lambda _: candidate.inliers)
     scorer.add([candidate])
     return scorer.measure(thorough=True)

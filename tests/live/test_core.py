@@ -183,6 +183,25 @@ def test_what_was_forgotten_is_asked_for_at_the_next_scan_by_that_alone(
     assert core.tracker.rolling.cloud().num_scans == 1 and core.jumps == 0
 
 
+def test_a_search_that_waits_for_a_slow_query_is_made_by_the_next_scan(
+    localizer: Localizer, plaza: Plaza
+) -> None:
+    tracker = TrackerConfig(every_m=10.0, check_m=1.0)
+    core = LiveCore(localizer, LiveConfig(tracker=tracker, every_s=1e9, every_lost_s=1e9))
+    stream = [events for events, _ in walked(plaza, 16, step=1.0)]
+    for events in stream[:2]:
+        feed(core, events)
+    assert core.state.status is Status.LOCALIZED
+    slow = None
+    for events in stream[2:]:
+        for event in events:
+            put(core, event)
+        slow = slow or core.due()
+    waits = core.due()
+    assert slow is not None and not slow.search
+    assert waits is not None and waits.search
+
+
 def test_wrong_input_is_refused_and_changes_nothing(localizer: Localizer) -> None:
     core = LiveCore(localizer, CONFIG)
     with pytest.raises(InvalidScan, match="stamp"):

@@ -58,7 +58,9 @@ def test_places_far_from_the_path_are_searched_where_the_map_is_small(
     found = {}
     for name, work in (("small", 1_200_000), ("large", 20_000)):
         config = OccupancyConfig(work=work)
-        proposer = OccupancyProposer(prior_map.voxel_cloud, prior_map.trajectory, config)
+        proposer = OccupancyProposer(
+            prior_map.voxel_cloud, prior_map.trajectory, config, Config().segmentation
+        )
         found[name] = proposer.propose(query)
     assert near(found["small"][0].T_map_local, T)
     off = np.array([c.T_map_local[:2, 3] for c in found["large"]])

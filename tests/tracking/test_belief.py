@@ -70,6 +70,17 @@ class Robot:
         return track is not None and np.allclose(track.T_map_odom, T)
 
 
+@pytest.mark.parametrize("meanwhile_m", [0.0, 5.0, 20.0])
+def test_a_view_counts_as_from_where_it_was_taken(meanwhile_m: float) -> None:
+    robot = Robot().searches((HERE, 8.0)).drives(2.0)
+    off = HERE @ geometry.yaw_transform(0.0, (0.5, 0.0, 0.0))
+    found = Reading(off, FITS, 1.0, 8.0, COVARIANCE / 10.0)
+    view = View(robot.belief.travelled, robot.T_odom_sensor, 1.0, [found], searched=True)
+    robot.belief.move(meanwhile_m)  # while the query is answered
+    robot.belief.update(view)
+    assert robot.is_at(HERE)  # a single view does not move it so far
+
+
 def test_the_first_view_gives_the_posterior_of_a_single_query() -> None:
     ratios = np.array([2.0, 1.2, -0.5, 0.0])
     belief = Robot().searches((HERE, 2.0), (THERE, 1.2), (HERE @ THERE, -0.5)).belief

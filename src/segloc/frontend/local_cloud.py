@@ -115,7 +115,7 @@ class Accumulator:
         self.config = config or LocalCloudConfig()
         self._attitudes = AttitudeEstimator(self.config.attitude)
 
-    def gather(self, scans: Scans, reference: int = -1) -> LocalCloud:
+    def gather(self, scans: Scans | LocalCloud, reference: int = -1) -> LocalCloud:
         """Return the local cloud of one scan or of several posed ones.
 
         Parameters
@@ -133,6 +133,8 @@ class Accumulator:
         InvalidScan
             If there is no scan, one of several has no pose, or the type is wrong.
         """
+        if isinstance(scans, LocalCloud):
+            return scans
         scans = [self.config.without_body(scan) for scan in as_scans(scans)]
         anchor = scans[reference]
         if len(scans) == 1 and anchor.T_odom_sensor is None:
@@ -187,7 +189,7 @@ def as_scans(scans: Scans) -> Sequence[Scan]:
     """
     if isinstance(scans, Scan):
         return [scans]
-    if not isinstance(scans, (list, tuple)):
+    if not isinstance(scans, Sequence):
         return [Scan(scans)]  # type: ignore[arg-type]  # whatever may be points
     if not scans:
         raise InvalidScan("no scan given")

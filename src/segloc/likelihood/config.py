@@ -14,6 +14,6 @@ class VerificationConfig(Section):
     """
 
     min_confidence: float = Field(
-        0.99, ge=0, le=1, description="least probability of an accepted place"
+        0.99, ge=0.5, le=1, description="least probability of an accepted place"
     )
     refine: bool = Field(True, description="refine the pose by ICP")

@@ -148,7 +148,7 @@ class Model(Section):
         description="log-probability that a place without segment matches fits as well as the best"
     )
     lapse: float = Field(
-        ge=0, lt=1, description="probability of a query unlike all queries of the fit"
+        gt=0, lt=1, description="probability of a query unlike all queries of the fit"
     )
     settings: Mapping[str, Any] = Field(
         {}, description="configuration of the fit; other values are a note of a localizer"

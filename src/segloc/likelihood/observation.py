@@ -22,6 +22,7 @@ from .. import _native, geometry
 from ..frontend.segmentation import Segmentation
 from ..geometry import Separation
 from ..localization import NextView
+from ..system.once import once
 from ..types import Float32, Float64, Int64, Pose
 from .nearby import NearbySearch
 from .next_view import RADIUS_M, next_view
@@ -206,73 +207,57 @@ class QueryCloud:
         self.rough: dict[bytes, float] = {}
         self.walls: dict[bytes, Walls] = {}
         self._scene, self._aligner = scene, aligner
-        self._image: _native.VisibilityCheck | None = None
-        self._storey: tuple[float, float] | None = None
-        self._surface: _native.Surface | None = None
-        self._dense: _native.Surface | None = None
-        self._close: tuple[_native.Surface, Float32, Int64] | None = None
-        self._patches: Int64 | None = None
-        self._planes: Count | None = None
 
-    @property
+    @once
     def surface(self) -> _native.Surface:
-        """Surface for alignment; built once."""
-        if self._surface is None:
-            self._surface = self._aligner.surface(self._near())
-        return self._surface
+        """Surface for alignment."""
+        return self._aligner.surface(self._near())
 
-    @property
+    @once
     def dense(self) -> _native.Surface:
-        """The same, as dense as a map; built once."""
-        if self._dense is None:
-            self._dense = close_surface(_native.voxel_grid(self._near(), _CLOSE_VOXEL_M))
-        return self._dense
+        """The same, as dense as a map."""
+        return close_surface(_native.voxel_grid(self._near(), _CLOSE_VOXEL_M))
 
-    @property
+    @once
     def close(self) -> tuple[_native.Surface, Float32, Int64]:
         """Surface of the structure, as dense as a map, its compared points, (N, 3), and the wall
-        patch of each, (N,); built once."""
-        if self._close is None:
-            near = _native.moved_crop(self._scene.structure, _HERE, _ICP_RANGE_M)
-            surface = close_surface(_native.voxel_grid(near, _CLOSE_VOXEL_M))
-            points = surface.sampled(_MAX_SURFACE_POINTS)
-            self._close = surface, points, patches(points, _WALL_PATCH_M)
-        return self._close
+        patch of each, (N,)."""
+        near = _native.moved_crop(self._scene.structure, _HERE, _ICP_RANGE_M)
+        surface = close_surface(_native.voxel_grid(near, _CLOSE_VOXEL_M))
+        points = surface.sampled(_MAX_SURFACE_POINTS)
+        return surface, points, patches(points, _WALL_PATCH_M)
 
-    @property
+    @once
     def patches(self) -> Int64:
-        """Patch of each point of ``sample``, (N,); found once."""
-        if self._patches is None:
-            self._patches = patches(self.sample, _INSIDE_PATCH_M)
-        return self._patches
+        """Patch of each point of ``sample``, (N,)."""
+        return patches(self.sample, _INSIDE_PATCH_M)
 
-    @property
+    @once
     def planes(self) -> Count:
-        """Points of the structure on its two widest planes; found once."""
-        if self._planes is None:
-            self._planes = _on_planes(self.close[0])
-        return self._planes
+        """Points of the structure on its two widest planes."""
+        return _on_planes(self.close[0])
 
     def _near(self) -> Float32:
         """Return the points that are aligned, (N, 3)."""
         parts = self._scene.structure, self._scene.ground
         return np.concatenate([_native.moved_crop(p, _HERE, _ICP_RANGE_M) for p in parts])
 
+    @once
     def storey(self) -> tuple[float, float]:
-        """Return the lowest and the highest z of the query's storey [m]."""
-        if self._storey is None:
-            z = np.concatenate([self._scene.structure[:, 2], self._scene.ground[:, 2]])
-            if not len(z):
-                return -np.inf, np.inf
-            low, high = np.percentile(z[:: -(-len(z) // _MAX_HEIGHTS)], _HEIGHT_PERCENTILES)
-            self._storey = float(low) - _STOREY_MARGIN_M, float(high) + _STOREY_MARGIN_M
-        return self._storey
+        """The lowest and the highest z of the query's storey [m]."""
+        z = self._scene.surface[:, 2]
+        if not len(z):
+            return -np.inf, np.inf
+        low, high = np.percentile(z[:: -(-len(z) // _MAX_HEIGHTS)], _HEIGHT_PERCENTILES)
+        return float(low) - _STOREY_MARGIN_M, float(high) + _STOREY_MARGIN_M
+
+    @once
+    def _image(self) -> _native.VisibilityCheck:
+        parts = self._scene.structure, self._scene.ground
+        return _native.VisibilityCheck(*parts, VIEW_M, VIEW_DEG, SEEN_M)
 
     def seen(self, points: Float32, T_local_map: Pose) -> Count:
         """Count the (N, 3) map points that the query sees, of those and the violations."""
-        if self._image is None:
-            parts = self._scene.structure, self._scene.ground
-            self._image = _native.VisibilityCheck(*parts, VIEW_M, VIEW_DEG, SEEN_M)
         seen, violations = self._image.count(points, T_local_map, SEEN_M, BEHIND_M)
         return Count(seen, seen + violations)
 
@@ -456,7 +441,7 @@ class MapCloud:
         x, y, z = T[:3, 3].tolist()
         low, high = -np.inf, np.inf
         if self._storeyed:
-            low, high = (z + height for height in query.storey())
+            low, high = (z + height for height in query.storey)
         points = self._target.index.sample(x, y, VIEW_M, _VIEW_POINTS, low, high)
         return query.seen(points, np.ascontiguousarray(geometry.inverse(T)))
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from .. import _native
+from ..system.once import once
 from ..types import Float32, Float64, Pose
 
 MIN_POINTS = 20
@@ -97,7 +97,7 @@ class Alignment:
         """Return the distance from a pose, as that where the alignment began."""
         return math.dist(self.T_target_source[:3, 3], T_target_source[:3, 3])
 
-    @cached_property
+    @once
     def covariance(self) -> Float64:
         """Covariance of rotation [rad] and translation [m], (6, 6), in the source's frame.
 

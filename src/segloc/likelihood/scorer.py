@@ -22,7 +22,6 @@ from .model import (
     by_name,
     features_of,
     rough_measures,
-    shipped_model,
     walls_over,
 )
 from .nearby import MOST_BESIDE
@@ -31,8 +30,8 @@ from .posterior import Posterior, ScoredPose, log_odds
 
 _MOST_PLACES = 8
 """Most promising places, which are aligned."""
-_MOST_ALIGNED, _MOST_MEASURED = 20, 8
-"""Places that a thorough search aligns, and measures to the end."""
+_MOST_ALIGNED = 20
+"""Places that a thorough search aligns."""
 _FIRST = 2
 """Candidates of each proposer that are aligned, by its own order: in offices, places that overlap
 more may leave out the right one, which a thorough search finds."""
@@ -64,14 +63,11 @@ class Likelihood:
     def __init__(
         self,
         cloud: Clouds,
-        config: VerificationConfig | None = None,
-        *,
-        separation: Separation | None = None,
-        model: Model | None = None,
+        config: VerificationConfig,
+        separation: Separation,
+        model: Model,
     ) -> None:
-        self.cloud = cloud
-        self.config, self.model = config or VerificationConfig(), model or shipped_model()
-        self.separation = separation or Separation()
+        self.cloud, self.config, self.separation, self.model = cloud, config, separation, model
 
     def query(self, scene: Segmentation) -> QueryCloud:
         """Preprocess a query's cloud for comparison with the map; reusable."""
@@ -185,14 +181,12 @@ class Scorer:
     ) -> None:
         self._likelihood, self._query = likelihood, query
         self._inliers, self._allowed = inliers, allowed
-        self._config, self._model = likelihood.config, likelihood.model
+        self._model = likelihood.model
         self._map, self._separation = likelihood.cloud, likelihood.separation
-        self._threshold = log_odds(self._config.min_confidence)
+        self._threshold = log_odds(likelihood.config.min_confidence)
         self._sure = log_odds(1.0 - self._model.lapse)
         self._thorough = False
         self._surrounded: list[Pose] = []
-        self._candidates, self._inliers_there = np.empty((0, 4, 4)), np.empty(0, np.int64)
-        self._first = np.empty((0, 4, 4))
         self._rivals: list[Rival] = []
         self.places: list[Trial] = []
 
@@ -211,12 +205,10 @@ class Scorer:
         candidates = [
             c for c in map(self._within_prior, candidates) if self._allowed(c.T_map_local)
         ]
-        if candidates:
-            self._candidates = _poses(candidates)
-            self._inliers_there = np.array([c.inliers for c in candidates])
-            by = np.array([c.proposer for c in candidates])
-            first = [np.flatnonzero(by == name)[:_FIRST] for name in np.unique(by)]
-            self._first = self._candidates[np.concatenate(first)]
+        self._candidates = _poses(candidates)
+        self._inliers_there = np.array([c.inliers for c in candidates], np.int64)
+        by = [c.proposer for c in candidates]
+        self._first = self._candidates[[k for k, n in enumerate(by) if by[:k].count(n) < _FIRST]]
         self._consider([(c.T_map_local, c.inliers) for c in candidates], known)
 
     def _within_prior(self, candidate: Candidate) -> Candidate:
@@ -371,7 +363,7 @@ class Scorer:
         if self._thorough:
             fresh = [place for place in left if place.aligned is None]
             measured = sum(place.fit is not None for place in self.places)
-            left = fresh or ([] if measured >= _MOST_MEASURED else left)
+            left = fresh or ([] if measured >= _MOST_PLACES else left)
         elif (leader := self._leader()) is not None and leader.log_ratio >= self._threshold:
             any_other = sum(1.0 / (1.0 + math.exp(-place.promise)) for place in left)
             left = left if log_odds(any_other) >= -self._threshold else []
@@ -547,6 +539,5 @@ def _poses(places: Sequence[Trial | Candidate]) -> Float64:
 
 def _merit(place: Trial) -> tuple[bool, bool, float]:
     """Order of places that are the same: by how far they are measured, then by overlap."""
-    best = place.fit or place.aligned
-    overlap = place.overlap if best is None else best.overlap
-    return place.fit is not None, place.aligned is not None, overlap
+    best = place.fit or place.aligned or place
+    return place.fit is not None, place.aligned is not None, best.overlap

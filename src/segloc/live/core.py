@@ -351,7 +351,9 @@ class LiveCore:
         self.scans += 1
         self._fault = ""
         if request is not None:
-            self._asked_at, self._due = stamp, replace(request, stamp=stamp)
+            waits = self._due is not None and self._due.search  # behind a query that is slow
+            self._asked_at = stamp
+            self._due = replace(request, stamp=stamp, search=request.search or waits)
         return self._report(stamp, T_odom_sensor @ geometry.inverse(self.T_base_sensor))
 
     @staticmethod

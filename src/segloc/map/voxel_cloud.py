@@ -95,8 +95,8 @@ class VoxelCloud:
         return moved
 
     def _consolidate(self) -> None:
-        if self._pending:
-            together = np.concatenate([array_of(self._thinned), *self._pending])
+        if pending := self._pending:  # read before the thinned ones, which others may replace
+            together = np.concatenate([array_of(self._thinned), *pending])
             self._thinned = thin(together, self.origin, self.voxel)
             self._pending, self._pending_count = [], 0
 

@@ -17,7 +17,7 @@ from scipy import fft
 from .. import _native, geometry
 from ..frontend.segmentation import SegmentationConfig
 from ..map.segment_map import SegmentMap
-from ..prior import Prior
+from ..prior import Prior, within
 from ..system.section import Section
 from ..types import Candidate, Float32, Float64
 from .occupancy import Ground, OccupancyConfig, ground_of, is_storeyed
@@ -117,7 +117,7 @@ class FirstSight:
         if fit < self.config.fit or places.likeness(best) > self.config.alike:
             return []
         T = places.pose(best, turn, view.below)
-        return [Candidate(T, 0, fit)] if prior is None or prior.holds(T) else []
+        return within(prior, [Candidate(T, 0, fit)])
 
     def _looks_around(self, points: Float32) -> bool:
         """Return whether a view has points in nearly all directions."""

@@ -87,12 +87,12 @@ class Matcher:
     def __init__(
         self,
         prior_map: SegmentMap,
-        config: MatchingConfig | None = None,
+        config: MatchingConfig,
         *,
         pruner: Pruner | None = None,
         threads: int = 0,
     ) -> None:
-        self.config = config or MatchingConfig()
+        self.config = config
         self.map_quality = prior_map.quality
         self._map = prior_map
         # Unpacked vectors are kept where each query needs them.

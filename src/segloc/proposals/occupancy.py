@@ -21,7 +21,7 @@ from .. import _native, geometry
 from ..frontend.segmentation import SegmentationConfig, heights_above_ground
 from ..geometry import cells_of, distinct, keys_of
 from ..map.voxel_cloud import VoxelCloud
-from ..prior import Prior
+from ..prior import Prior, within
 from ..system.section import Section
 from ..types import Bools, Candidate, Float32, Float64, Int64
 from .proposer import Query
@@ -99,17 +99,17 @@ class OccupancyProposer:
         self,
         cloud: VoxelCloud,
         trajectory: Float64,
-        config: OccupancyConfig | None = None,
-        segmentation: SegmentationConfig | None = None,
+        config: OccupancyConfig,
+        segmentation: SegmentationConfig,
         *,
         own: Callable[[Float64], Bools] = lambda positions: np.ones(len(positions), dtype=bool),
         parts: int = 1,
     ) -> None:
-        self.config = config or OccupancyConfig()
+        self.config = config
         self._cloud = cloud
         self._own, self._parts = own, parts
         self._path = trajectory[:, :3, 3] - cloud.origin
-        self._segmentation = segmentation or SegmentationConfig()
+        self._segmentation = segmentation
         self._maps: list[_OccupancyMap] | None = None
 
     name = "occupancy"
@@ -130,7 +130,7 @@ class OccupancyProposer:
         found = [pose for each in maps for pose in each.search(view, origin, near, share)]
         found.sort(key=lambda pose: -pose[4])
         poses = [(geometry.yaw_transform(yaw, (x, y, z)), fit) for x, y, z, yaw, fit in found]
-        return [Candidate(T, 0, fit) for T, fit in poses if near is None or near.holds(T)]
+        return within(near, [Candidate(T, 0, fit) for T, fit in poses])
 
     def prepare(self) -> None:
         """Build the grid of each storey, once; the bound of work is shared among storeys."""

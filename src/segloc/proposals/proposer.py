@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +12,7 @@ from ..frontend.segmentation import Segmentation, SegmentationConfig
 from ..map.config import BuildConfig
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
+from ..system.once import once
 from ..system.plugins import plugins, require_attributes
 from ..types import Candidate, Descriptors, Float64, LocalCloud, Matches, Pose
 from .view import View
@@ -38,9 +38,9 @@ class Query:
         self.cloud, self.scene, self._described = cloud, scene, descriptors
         self._views: dict[tuple[float, float, SegmentationConfig], View] = {}
 
-    @cached_property
+    @once
     def descriptors(self) -> Descriptors:
-        """Descriptors of the segments; computed once."""
+        """Descriptors of the segments."""
         return self._described() if callable(self._described) else self._described
 
     def view(self, cell_m: float, range_m: float, segmentation: SegmentationConfig) -> View:

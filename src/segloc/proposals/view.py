@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from scipy.ndimage import distance_transform_cdt
 from .. import _native
 from ..frontend.segmentation import Segmentation, SegmentationConfig, heights_above_ground
 from ..geometry import cells_of, distinct, keys_of
+from ..system.once import once
 from ..types import Float32, Int64
 
 HEIGHTS_M = (0.4, 0.8, 1.3, 1.9, 2.6, 3.5, 5.0, 8.0)
@@ -73,7 +73,7 @@ class View:
         np.bitwise_or.at(self.slices, which, slices_of(heights[above]))
         self.columns = self._centres(self._occupied)
 
-    @cached_property
+    @once
     def free(self) -> tuple[Float32, Bytes]:
         """Centres (F, 2) of cells with ground alone, the clearest first [m], and the number of
         cells around each without an occupied one, (F,)."""

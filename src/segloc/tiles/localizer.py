@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..config import Config
 from ..errors import ConfigError
 from ..likelihood import Posterior
 from ..localization import Reason
-from ..localizer import Localizer, proposers_of
+from ..localizer import Localizer, likelihood_of, proposers_of
 from ..map.segment_map import SegmentMap
 from ..pipeline import Search
 from ..prior import Prior
@@ -23,7 +22,7 @@ from ..proposals.proposer import Query
 from ..system.stage_times import Clock, StageTimes
 from ..types import Candidate, Float64, LocalCloud, Matches, Pose
 from .index import Tile
-from .pieces import MAX_ALL, Pieces, TiledOccupancy, tiled_likelihood
+from .pieces import MAX_ALL, Pieces, TiledCloud, TiledOccupancy
 from .store import holds_tiles
 from .tiled_map import TiledMap
 
@@ -88,11 +87,7 @@ class TiledLocalizer(Localizer):
         )
         self._pieces = Pieces(tiles, config)
         self._settings = config.to_yaml()
-        self._reopen = partial(TiledLocalizer, tiles, config, clock=clock)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the location and the configuration; unpickling opens the tiles again."""
-        return self._reopen, ()
+        self._again = partial(TiledLocalizer, tiles, config, clock=clock)  # opens them again
 
     def search(
         self,
@@ -201,7 +196,7 @@ class TiledLocalizer(Localizer):
                     config,
                     estimator=self.estimator,
                     proposers=proposers_of(part, config, occupancy),
-                    likelihood=tiled_likelihood(self._pieces, chosen, ground=part.has_ground),
+                    likelihood=likelihood_of(TiledCloud(self._pieces, chosen), part, config),
                     clock=self.clock,
                 )
 

@@ -11,7 +11,6 @@ import numpy as np
 from ..config import Config
 from ..frontend.segmentation import Segmentation
 from ..geometry import cells_of
-from ..likelihood import Likelihood, shipped_model
 from ..likelihood.observation import Aligned, MapCloud, Observation, QueryCloud, Walls, aligner
 from ..localization import NextView
 from ..localizer import cloud_of
@@ -173,16 +172,6 @@ class TiledCloud:
 
     def _owners(self, poses: Sequence[Pose]) -> list[Tile]:
         return self._pieces.index.nearest(np.stack([T[:3, 3] for T in poses]), self._tiles)
-
-
-def tiled_likelihood(pieces: Pieces, tiles: Sequence[Tile], *, ground: bool) -> Likelihood:
-    """Return the likelihood of the clouds of tiles, which have ``ground`` or not."""
-    return Likelihood(
-        TiledCloud(pieces, tiles),
-        pieces.config.verification,
-        separation=pieces.config.pose.separation,
-        model=shipped_model(ground=ground),
-    )
 
 
 class TiledOccupancy:

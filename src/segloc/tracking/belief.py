@@ -19,8 +19,6 @@ from ..types import Float64, Pose
 
 _MIN_PROBABILITY = 1e-3
 """Hypotheses below this are dropped."""
-_MAX_LOG_RATIO = 300.0
-"""Larger log-ratios would overflow."""
 _WRONG_HEIGHT, _CONTRADICTS = 0.002, -4.5
 """Share of observed heights that are wrong, and log-ratio below which one contradicts a place."""
 _LEAST_HEIGHT_M = 0.3
@@ -319,12 +317,14 @@ class Belief:
 
     def covariance(self, T_odom_sensor: Pose) -> Float64 | None:
         """Return the covariance of the track's pose, with the drift since it was measured."""
-        return None if self.track is None else self._predict(self.track, T_odom_sensor)
+        track = self.track
+        return None if track is None else self._predict(track, T_odom_sensor, self.travelled)
 
-    def _predict(self, h: Hypothesis, T_odom_sensor: Pose) -> Float64 | None:
+    def _predict(self, h: Hypothesis, T_odom_sensor: Pose, at: float) -> Float64 | None:
+        """Return the covariance of a pose after ``at`` metres, with the drift until then."""
         if h.covariance is None:
             return None
-        path, config = max(0.0, self.travelled - h.at), self.config
+        path, config = max(0.0, at - h.at), self.config
         tilt, turn = math.radians(config.drift_tilt_deg), math.radians(config.drift_deg)
         drift = tilt, tilt, turn, config.drift, config.drift, config.drift_up
         R = np.kron(np.eye(2), T_odom_sensor[:3, :3])  # from the sensor's axes to the odometry's
@@ -344,14 +344,15 @@ class Belief:
 
     def _share_of(self, place: Reading) -> float:
         """Return the probability of a place, before normalisation, if it was lost before."""
-        return self.lost * math.exp(min(place.log_ratio, _MAX_LOG_RATIO))
+        return self.lost * math.exp(place.log_ratio)
 
     def _move(self, h: Hypothesis, seen: Reading, view: View) -> None:
         """Correct the pose by a measured one, both by their covariances.
 
         A correction beyond what both allow is made once another view repeats it.
         """
-        before, T_sensor = self._predict(h, view.T_odom_sensor), view.T_odom_sensor
+        T_sensor = view.T_odom_sensor
+        before = self._predict(h, T_sensor, view.at)
         if seen.covariance is None or view.new == 0.0:
             return
         T, covariance = seen.T_map_odom, seen.covariance
@@ -362,18 +363,20 @@ class Belief:
                 T = geometry.displace(h.T_map_odom @ T_sensor, gain @ step)
                 T = T @ geometry.inverse(T_sensor)
                 covariance = before - gain @ before
-            elif not self._repeats(h.doubted, seen, T_sensor):
+            elif not self._repeats(h.doubted, seen, T_sensor, view.at):
                 there = replace(h, T_map_odom=T, T_odom_sensor=T_sensor, covariance=covariance)
                 h.doubted = replace(there, at=view.at, doubted=None)
                 return
         h.T_map_odom, h.covariance = T, (covariance + covariance.T) / 2.0
         h.T_odom_sensor, h.at, h.doubted = T_sensor, view.at, None
 
-    def _repeats(self, doubted: Hypothesis | None, seen: Reading, T_odom_sensor: Pose) -> bool:
+    def _repeats(
+        self, doubted: Hypothesis | None, seen: Reading, T_odom_sensor: Pose, at: float
+    ) -> bool:
         """Return whether a measured pose agrees with a doubted one, carried on by odometry."""
         if doubted is None:
             return False
-        predicted = self._predict(doubted, T_odom_sensor)
+        predicted = self._predict(doubted, T_odom_sensor, at)
         assert seen.covariance is not None and predicted is not None
         return geometry.allows(predicted + seen.covariance, _step(doubted, seen, T_odom_sensor))
 
