@@ -13,7 +13,13 @@ from pydantic import BaseModel, Field
 from . import descriptors
 from .errors import ConfigError, MapMismatch
 from .likelihood import VerificationConfig, shipped_model
-from .map.config import DEFAULT_METHOD, BuildConfig, stored_config, without_mount
+from .map.config import (
+    DEFAULT_METHOD,
+    NARROW_SEGMENTATION,
+    BuildConfig,
+    stored_config,
+    without_mount,
+)
 from .map.info import plan_tolerance_m
 from .map.segment_map import SegmentMap
 from .proposals.first_sight import FirstSightConfig
@@ -136,7 +142,10 @@ def query_config(prior_map: SegmentMap, config: Config | None) -> tuple[Config, 
     if changed := differences(_shared_settings(config), _shared_settings(built)):
         notes.append(f"not as the map was built: {', '.join(changed)}")
     fitted = _merge(dict(shipped_model().settings), dict(descriptors.preset(config.method)))
-    if changed := differences(config.model_dump(mode="json"), fitted):
+    values = config.model_dump(mode="json")
+    if config.segmentation == NARROW_SEGMENTATION:  # chosen for the sensor, not by the user
+        del values["segmentation"]
+    if changed := differences(values, fitted):
         notes.append(f"confidence was fitted under other values of {', '.join(changed)}")
     return config, tuple(notes)
 

@@ -12,7 +12,8 @@ from samples.walk import Walk, in_view
 
 import segloc
 from segloc import Config, Localizer, MemoryRecording, Scan, SeglocError, SegmentMap, build_map
-from segloc.map.build import NARROW_SEGMENTATION, NARROW_VIEWS, adapt_to_view
+from segloc.map.build import adapt_to_view
+from segloc.map.config import NARROW_SEGMENTATION, NARROW_VIEWS
 from segloc.types import Float64
 
 CONFIG = Config(threads=1)

@@ -190,7 +190,7 @@ def as_scans(scans: Scans) -> Sequence[Scan]:
     if isinstance(scans, Scan):
         return [scans]
     if not isinstance(scans, Sequence):
-        return [Scan(scans)]  # type: ignore[arg-type]  # whatever may be points
+        return [Scan(scans)]  # whatever may be points
     if not scans:
         raise InvalidScan("no scan given")
     for i, scan in enumerate(scans):

@@ -35,8 +35,8 @@ SUMMARY = {
     "latency_ms": "`p50` and `p99` until a scan was used",
     "query_ms": "`p50` and `p99` until its query or check was answered",
     "queries": "queries and checks",
-    "false_m": "with `--truth`: distance travelled with a pose outside the tolerance, localized or "
-    "degraded; else null",
+    "false_m": "with `--truth`: distance travelled, where known by it, with a pose outside the "
+    "tolerance, localized or degraded; else null",
     "false_localized_m": "with `--truth`: localized part of it",
     "translation_error_m": "with `--truth`: `median` and `p95` over the localized scans",
     "rotation_error_deg": "with `--truth`: the same in degrees",
@@ -322,6 +322,8 @@ def summary(
     if truths is None:
         return facts
     metres, degrees = pose_errors(replay, truths)
+    way = np.linalg.norm(np.diff(truths[replay.positions, :3, 3], axis=0), axis=1)
+    steps[1:] = np.where(np.isfinite(way), way, steps[1:])  # odometry may be wrong
     fits = correct(replay, truths, tolerance_m, tolerance_deg)
     false = np.array([each is False for each in fits], dtype=bool)
     sure = np.array([kind is Status.LOCALIZED for kind in kinds], dtype=bool)

@@ -18,13 +18,19 @@ from ..descriptors import Descriptor, create
 from ..errors import ConfigError, DatasetError
 from ..frontend.field_of_view import is_narrow
 from ..frontend.local_cloud import Accumulator, window
-from ..frontend.segmentation import ClusterConfig, Segmentation, SegmentationConfig, Segmenter
+from ..frontend.segmentation import Segmentation, SegmentationConfig, Segmenter
 from ..frontend.tilt import Tilt, frame_tilt, level_recording
 from ..system.files import folder_in
 from ..system.processes import all_of
 from ..types import Descriptors, Float64, Pose, Recording, Scanned, as_recording, stamp_at
 from .compact import compacted
-from .config import BuildConfig, MappingConfig, ViewConfig, checked_build_config
+from .config import (
+    NARROW_SEGMENTATION,
+    NARROW_VIEWS,
+    BuildConfig,
+    MappingConfig,
+    checked_build_config,
+)
 from .segment_map import SegmentMap
 
 Progress = Callable[[int, int], None]
@@ -59,15 +65,6 @@ def build_map(
     prior_map.metadata["sequence"] = sequence.name
     prior_map.metadata.update(frame)
     return compacted(prior_map, config.mapping.compact)
-
-
-NARROW_VIEWS = tuple(ViewConfig(length_m=length, every_m=2.0) for length in (40, 16, 4))
-NARROW_SEGMENTATION = SegmentationConfig(
-    accumulated=ClusterConfig(voxel_size=0.1, tolerance=0.2, min_points=30),
-    single=ClusterConfig(voxel_size=0.1, tolerance=0.3, min_points=10),
-)
-"""A narrow view holds few separate objects and changes quickly as the sensor turns, so segments are
-finer and views closer together."""
 
 
 def adapt_to_view(config: BuildConfig, recordings: Sequence[Recording]) -> BuildConfig:

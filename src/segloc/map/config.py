@@ -14,7 +14,7 @@ from ..descriptors import preset
 from ..errors import ConfigError
 from ..frontend.local_cloud import LocalCloudConfig
 from ..frontend.mounting import MountConfig
-from ..frontend.segmentation import SegmentationConfig
+from ..frontend.segmentation import ClusterConfig, SegmentationConfig
 from ..system.section import Section, parse_yaml
 from .compact import CompactConfig
 from .info import TEXT_SEPARATOR
@@ -83,6 +83,15 @@ class BuildConfig(Section):
             del values["local_cloud"]["body"]  # version 0.3.0 takes no configuration with it
         text: str = yaml.safe_dump(values, sort_keys=False)
         return text
+
+
+NARROW_VIEWS = tuple(ViewConfig(length_m=length, every_m=2.0) for length in (40, 16, 4))
+NARROW_SEGMENTATION = SegmentationConfig(
+    accumulated=ClusterConfig(voxel_size=0.1, tolerance=0.2, min_points=30),
+    single=ClusterConfig(voxel_size=0.1, tolerance=0.3, min_points=10),
+)
+"""A narrow view holds few separate objects and changes quickly as the sensor turns, so segments are
+finer and views closer together."""
 
 
 def checked_build_config(config: BuildConfig | None) -> BuildConfig:

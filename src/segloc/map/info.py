@@ -69,9 +69,7 @@ class MapInfo(dict[str, Any]):
         extent = " x ".join(f"{metres:.0f}" for metres in self["extent_m"])
         rows = [
             ("descriptor", f"{self['descriptor']}, {self['dim']} numbers ({self['fingerprint']})"),
-            ("segments", f"{self['segments']}"),
-            *self._poses_rows(),
-            ("cloud", f"{self['cloud_points']} points, one per {self['cloud_voxel_m']:g} m"),
+            *self._contents_rows(),
             ("extent", f"{extent} m"),
         ]
         if CLOUD in metadata.get(SOURCE, ""):
@@ -87,6 +85,14 @@ class MapInfo(dict[str, Any]):
         if (where := Georeference.of(metadata)) is not None:
             rows.append(("georeference", str(where)))
         return rows
+
+    def _contents_rows(self) -> list[tuple[str, str]]:
+        """Return rows of tiles, or of segments and cloud, and of the poses."""
+        if "tiles" in self:
+            tiles = f"{self['tiles']} of {self['tile_m']:g} m"
+            return [("tiles", tiles), *self._poses_rows()]
+        cloud = f"{self['cloud_points']} points, one per {self['cloud_voxel_m']:g} m"
+        return [("segments", f"{self['segments']}"), *self._poses_rows(), ("cloud", cloud)]
 
     def _poses_rows(self) -> list[tuple[str, str]]:
         """Return rows of the poses that a sensor had, and of viewpoints chosen in a cloud."""

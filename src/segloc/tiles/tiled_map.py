@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from ..errors import MapMismatch
 from ..map.coding import Stored
+from ..map.info import MapInfo
 from ..map.segment_map import SegmentMap, concatenate_maps, part_where, with_parts
 from ..system.stage_times import Clock
 from ..types import Float32
@@ -98,6 +99,19 @@ class TiledMap:
 
     def __repr__(self) -> str:
         return f"TiledMap({self.where!r}, {len(self)} tiles)"
+
+    def info(self) -> MapInfo:
+        """Return facts about the map, as :meth:`SegmentMap.info`; tiles repeat what is in several.
+
+        Raises
+        ------
+        MapFormatError
+            If the thin map of all tiles is missing or damaged.
+        """
+        facts, once = self.coarse().info(), ("segments", "cloud_points", "memory_bytes")
+        found = MapInfo(tiles=len(self), tile_m=self.index.size_m)
+        found.update((key, value) for key, value in facts.items() if key not in once)
+        return found
 
     def coarse(self) -> SegmentMap:
         """Return the thin map of all tiles, with the whole trajectory and no cloud."""

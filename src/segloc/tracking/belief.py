@@ -408,7 +408,10 @@ class Belief:
             self.problem = ""
 
     def _loss_reason(self, track: Hypothesis) -> str:
-        return f"no view supports the track for {self.travelled - track.at:.0f} m"
+        metres = self.travelled - track.at
+        if metres < 0.5:
+            return "no agreement yet"
+        return f"no view supports the track for {metres:.0f} m"
 
 
 def _upright(T_odom_sensor: Pose) -> Pose:

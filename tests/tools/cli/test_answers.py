@@ -278,7 +278,7 @@ def test_a_scan_of_a_recording_is_chosen_by_its_number(
     assert run("explain", site.run, "--select", 5, *arguments) == 0
     assert re.search(r"cloud +\d+ points of 6 scans", capsys.readouterr().out)
     assert run("explain", site.run, "--select", 99, *arguments) == 1
-    assert "has scans 0 to 13" in capsys.readouterr().err
+    assert "nearest are 12 and 13" in capsys.readouterr().err
 
 
 def test_options_that_would_be_ignored_are_refused(

@@ -325,6 +325,8 @@ def test_several_recordings_make_one_map_whoever_does_it(
     refused("not a bag", "localize", toy.run_2, "--map", here, "--gnss")
     refused("--gnss needs a georeferenced map", "localize", toy.run_2, "--map", toy.map, "--gnss")
     assert run("map", "tile", toy.map, "--size", 50, "--out", tiles) == 0
+    assert run("map", "info", tiles) == 0
+    assert re.search(r"tiles +│ +\d+ of 50 m", capsys.readouterr().out)
     update = ["map", "update", tiles, toy.run_2, "--poses", toy.run_2 / "poses.tum", "--out"]
     refused("tiles are changed in place", *update, tmp_path / "other")
     assert run(*update, tiles) == 0

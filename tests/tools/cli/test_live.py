@@ -14,7 +14,9 @@ from samples.walk import run
 from segloc import Config, build_map, geometry
 from segloc.live.core import RECORD
 from segloc.live.replay import SUMMARY
+from segloc.tools.doctor import Fault, Finding
 from segloc.tools.io import Trajectory, read_trajectory, write_tum
+from segloc.types import Recording
 
 SCANS = 14
 
@@ -67,6 +69,44 @@ def test_a_recording_is_followed_whatever_frame_its_odometry_is_in(
     printed, output = capsys.readouterr()
     assert "first fix after" in printed and "false track" in printed
     assert output.count("localized at -1") == 2
+
+
+@pytest.mark.slow
+def test_what_is_false_is_counted_along_the_truth(place: Path, tmp_path: Path) -> None:
+    truth = read_trajectory(place / "truth.tum")
+    short = truth.poses.copy()
+    short[:, :3, 3] *= 0.95  # odometry of less way
+    write_tum(tmp_path / "short.tum", Trajectory(truth.stamps, short))
+    aside = geometry.yaw_transform(0.0, (0.0, 9.0, 0.0)) @ truth.poses
+    write_tum(tmp_path / "aside.tum", Trajectory(truth.stamps, aside))
+    options = ["--poses", tmp_path / "short.tum", "--truth", tmp_path / "aside.tum"]
+    facts = followed(place, tmp_path / "out", *options)
+    way = geometry.distance_travelled(aside)[-1]
+    assert facts["localized_share"] == 1.0 and facts["travelled_m"] < 0.96 * way
+    assert facts["false_m"] == pytest.approx(way, abs=0.01)
+
+
+@pytest.mark.slow
+def test_odometry_that_does_not_match_the_scans_is_noted(
+    place: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    checked: list[Recording] = []
+
+    def pose_findings(recording: Recording) -> list[Finding]:
+        checked.append(recording)
+        return [Finding(Fault.POSES_SMEAR, "clouds do not match")]
+
+    monkeypatch.setattr("segloc.tools.doctor.pose_findings", pose_findings)
+    options = ["--map", place / "plaza.segmap", "--out", tmp_path / "out"]
+    assert run("live", place / "drive", *options, "--odometry") == 0
+    assert "odometry from the scans: clouds do not match" in capsys.readouterr().err
+    (odometry,) = checked
+    truth = read_trajectory(place / "truth.tum").poses
+    moved = geometry.inverse(odometry.poses[0]) @ odometry.poses[-1]
+    assert np.allclose(moved, geometry.inverse(truth[0]) @ truth[-1], atol=0.5)
 
 
 @pytest.mark.slow

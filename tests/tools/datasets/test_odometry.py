@@ -31,7 +31,8 @@ from segloc_lab.simulation.drives import mapped_way
 
 from segloc import geometry, scan_odometry
 from segloc.errors import DatasetError, InvalidScan
-from segloc.tools.datasets import open_sequence
+from segloc.frontend import LocalCloudConfig
+from segloc.tools.datasets import NO_POSES, open_sequence
 from segloc.tools.datasets.inspection import inspect
 from segloc.tools.datasets.odometry import kept_odometry, lidar_odometry, odometry_path
 from segloc.tools.io import Trajectory, read_trajectory, write_tum
@@ -121,6 +122,24 @@ def test_verbs_take_a_bag_without_poses(
     shown = capsys.readouterr().out
     for fact in ("ROS 1 bag", "3D, 32 beams", "10.0 Hz", "x y z intensity time", "lidar"):
         assert fact in shown
+
+
+def test_points_on_the_robot_are_not_used(simulated: Simulated, tmp_path: Path) -> None:
+    few = open_sequence(simulated.folder, NO_POSES, "0:5", deskew=False)
+    clean, loaded, rng = tmp_path / "clean", tmp_path / "loaded", np.random.default_rng(0)
+    for folder in (clean, loaded):
+        folder.mkdir()
+    for i in range(len(few)):
+        points = few.raw(i).points
+        mast = rng.uniform((-0.6, -0.4, -0.3), (-0.2, 0.4, 0.3), (400, 3)).astype(np.float32)
+        np.save(clean / f"{i}.npy", points)
+        np.save(loaded / f"{i}.npy", np.concatenate([mast, points]))
+    config = LocalCloudConfig(body=((-0.7, -0.5, -0.4), (-0.1, 0.5, 0.4)))
+    alone, without = (open_sequence(folder, NO_POSES) for folder in (clean, loaded))
+    expected = lidar_odometry(alone).poses
+    assert geometry.distance_travelled(expected)[-1] > 1.0
+    assert (lidar_odometry(without, config).poses == expected).all()
+    assert not np.allclose(lidar_odometry(without).poses, expected, atol=1e-3)
 
 
 def test_odometry_is_kept_by_times_that_are_whole_seconds(tmp_path: Path) -> None:

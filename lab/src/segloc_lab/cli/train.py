@@ -155,7 +155,7 @@ def extract(
         items = [
             Posed(
                 Session(place, f"{k:02d}-{path.resolve().name}", sensor),
-                open_recording(path, of_path, scans, topic=topic, mount=chosen.local_cloud.mount),
+                open_recording(path, of_path, scans, topic=topic, local=chosen.local_cloud),
             )
             for k, (path, of_path, scans) in enumerate(zip(*given, strict=True))
         ]

@@ -115,8 +115,9 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows += error_rows(summary)
     rows.append(("not localized", str(summary["not_localized"])))
     rows += [(f"  {reason}", str(n)) for reason, n in _group(summary["reasons"])]
-    by_clock, spent = (number(summary["ms"][key], "ms", 1) for key in ("total", PROCESSOR))
-    rows.append(("time per query, median", f"{by_clock}, processor {spent}"))
+    times = {"": summary["ms"]["total"], "processor ": summary["ms"][PROCESSOR]}
+    known = [f"{of}{number(ms, 'ms', 1)}" for of, ms in times.items() if ms is not None]
+    rows.append(("time per query, median", ", ".join(known) or "-"))
     return rows
 
 

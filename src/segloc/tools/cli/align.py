@@ -64,9 +64,9 @@ def align(
     from .results import check_folder
 
     def open_sessions(paths: list[Path], chosen: Config) -> list[Sequence]:
-        mount = chosen.local_cloud.mount
+        local = chosen.local_cloud
         found = open_recordings(
-            paths, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+            paths, poses, select, topic=topic, deskew=deskew, odometry=odometry, local=local
         )
         recordings = list(found)
         _check(paths, recordings)

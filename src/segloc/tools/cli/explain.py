@@ -58,7 +58,7 @@ def explain(
     with busy("Loading the map"):
         localizer = options.open_localizer(open_map(str(prior_map)), config, threads, weights)
     local = localizer.config.local_cloud
-    recording = open_recording(scan, poses, topic=topic, odometry=odometry, mount=local.mount)
+    recording = open_recording(scan, poses, topic=topic, odometry=odometry, local=local)
     position = _position(recording, select)
     name = f"{recording.name}, scan {recording.indices[position]}, in {prior_map.name}"
     with busy("Localizing"):
@@ -83,8 +83,9 @@ def _position(recording: Recording, number: int | None) -> int:
         return len(recording) - 1
     found = [i for i, index in enumerate(recording.indices) if index == number]
     if not found:
-        first, last = recording.indices[0], recording.indices[-1]
-        raise ConfigError(f"--select {number}: {recording.name} has scans {first} to {last}")
+        nearest = sorted(sorted(map(int, recording.indices), key=lambda k: abs(k - number))[:2])
+        has = " and ".join(map(str, nearest))
+        raise ConfigError(f"--select {number}: no such scan in {recording.name}; nearest are {has}")
     return found[0]
 
 

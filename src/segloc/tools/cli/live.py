@@ -14,7 +14,7 @@ import typer
 from ...errors import ConfigError
 from ...system.text import number
 from . import options
-from .console import note, progress, say, table
+from .console import busy, note, progress, say, table
 
 if TYPE_CHECKING:
     from ...live import State
@@ -90,7 +90,7 @@ def live(
     local = localizer.config.local_cloud
     poses = Path(NO_POSES) if odometry else poses
     recording: Scans = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, mount=local.mount
+        sequence, poses, select, topic=topic, deskew=deskew, local=local
     )
     if recording.poses is None:
         note("odometry from the scans (KISS-ICP)")
@@ -107,6 +107,8 @@ def live(
         played = play(localizer, recording, _settings(every, rate), rate, on_state, update, keeper)
     for line in [] if keeper is None else keeper.notes:
         note(line)
+    if recording.poses is None:
+        _note_odometry(recording, played)
     facts: dict[str, Any] = {
         "recording": recording.name,
         "map": options.map_name(prior_map),
@@ -119,6 +121,23 @@ def live(
     _show(facts, f"{recording.name} in {options.map_name(prior_map)}")
     if played.fault is not None:
         raise played.fault
+
+
+def _note_odometry(recording: Scans, played: Replay) -> None:
+    """Note that the odometry from the scans does not match them."""
+    import numpy as np
+
+    from ...types import Reposed
+    from ..doctor import pose_findings
+
+    states = [played.states[int(k)] for k in played.positions]
+    poses = [state.T_odom_base for state in states if state.T_odom_base is not None]
+    if len(poses) < len(recording):  # some scans were not used
+        return
+    with busy("Checking scans against poses"):
+        found = pose_findings(Reposed(recording, np.stack(poses)))
+    for finding in found:
+        note(f"odometry from the scans: {finding}")
 
 
 def _settings(every_m: float, rate: float) -> Any:

@@ -85,7 +85,7 @@ def localize(
     prior, local = localizer.prior_map, localizer.config.local_cloud
     sequence = sequence.absolute() if cluster else sequence
     recording: Recording = open_recording(
-        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=local.mount
+        sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, local=local
     )
     recording = levelled_poses(recording, local, level)
     truths = true_poses(recording, sequence, truth, topic, place_of_sensor(local.mount))

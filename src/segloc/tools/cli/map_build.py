@@ -69,11 +69,11 @@ def build(
         raise ConfigError("--level applies to one recording; several must share a level frame")
     if cluster is not None:
         sequences = [path.absolute() for path in sequences]
-    mount = settings.local_cloud.mount
+    local = settings.local_cloud
     recordings = _with_poses(
         sequences,
         open_recordings(
-            sequences, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+            sequences, poses, select, topic=topic, deskew=deskew, odometry=odometry, local=local
         ),
     )
     if not unchecked:

@@ -16,17 +16,18 @@ if TYPE_CHECKING:
 
 
 def info(
-    path: Annotated[Path, typer.Argument(metavar="MAP.segmap", help="The map.")],
+    path: Annotated[str, typer.Argument(metavar="MAP", help="The map, or its tiles.")],
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show the contents of a map, and check the file for damage."""
-    from ...map.segment_map import SegmentMap
+    from ...tiles import open_map
 
-    prior_map = SegmentMap.load(path)
+    prior_map = open_map(path)
+    facts = prior_map.info()
     if json:
-        print(json_text(prior_map.info()))
+        print(json_text(facts))
     else:
-        show(prior_map, str(path))
+        table(path, ("", ""), facts.rows())
 
 
 def save_and_show(prior_map: SegmentMap, out: Path, where: Georeference | None) -> None:

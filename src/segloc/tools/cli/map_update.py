@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...errors import ConfigError
+from ...errors import ConfigError, DatasetError
 from . import options
 from .console import note, progress, table
 from .shift import align_command, checked_shift, shift_rows
@@ -93,10 +93,12 @@ def update(
     def open_session(where: SegmentMap | TiledMap) -> tuple[Config, Scans, Shift | None]:
         """Return the settings of a map, and the session in its frame with its shift."""
         chosen = options.map_settings(where, config, threads, weights)
-        mount = chosen.local_cloud.mount
+        local = chosen.local_cloud
         recording = open_recording(
-            sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+            sequence, poses, select, topic=topic, deskew=deskew, odometry=odometry, local=local
         )
+        if recording.poses is None:
+            raise DatasetError(f"{sequence}: no poses: pass --poses FILE, or use --odometry")
         session = _align(recording, where, chosen) if align else recording
         shift = None if unchecked else checked_shift(where, session, sequence, remedy, chosen)
         return chosen, session, shift
@@ -181,10 +183,10 @@ def check_same_tiles(where: str, out: str) -> None:
 def _rows(counts: UpdateCounts) -> list[tuple[str, str]]:
     return [
         *shift_rows(counts.shift),
-        ("  seen again", str(counts.seen)),
-        ("  missed", str(counts.aged)),
-        ("  removed", str(counts.removed)),
-        ("  not in view", str(counts.out_of_view)),
+        ("segments seen again", str(counts.seen)),
+        ("segments missed", str(counts.aged)),
+        ("segments removed", str(counts.removed)),
+        ("segments not in view", str(counts.out_of_view)),
         ("segments added", str(counts.added)),
         ("segments dropped for size", str(counts.bounded)),
         ("points of the cloud removed", str(counts.points_removed)),

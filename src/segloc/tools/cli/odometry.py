@@ -23,6 +23,7 @@ def odometry(
     ] = None,
     select: options.Select = None,
     topic: options.Topic = None,
+    config: options.ConfigFile = None,
 ) -> None:
     """Compute the poses of a recording from its scans, by KISS-ICP.
 
@@ -35,8 +36,8 @@ def odometry(
     from ...types import Reposed
     from ..datasets import NO_POSES, RecordedSequence
     from ..datasets.odometry import compute_odometry, odometry_path
-    from ..doctor import pose_findings
-    from .recording import open_recording
+    from ..doctor import body_findings, pose_findings, sample_scans
+    from .recording import BODY_SCANS, open_recording
 
     if select is not None and out is None:
         raise ConfigError("--select needs --out: the default file holds the odometry of all scans")
@@ -46,11 +47,15 @@ def odometry(
     recording = cast(
         RecordedSequence, open_recording(sequence, Path(NO_POSES), select, topic=topic)
     )
+    local = options.load_config(config, None, 1).local_cloud
     with progress("Odometry") as update:
-        poses = compute_odometry(recording, file, update).poses
+        poses = compute_odometry(recording, file, local, update).poses
     with busy("Checking scans against poses"):
-        for finding in pose_findings(Reposed(recording, poses)):
-            note(str(finding))
+        faults = pose_findings(Reposed(recording, poses))
+        # What moves with the sensor holds the odometry back.
+        body = body_findings(sample_scans(recording, BODY_SCANS), local) if faults else []
+    for finding in [*faults, *body]:
+        note(str(finding))
     travelled = geometry.distance_travelled(poses)[-1]
     apart = float(((poses[-1, :3, 3] - poses[0, :3, 3]) ** 2).sum() ** 0.5)
     rows = [

@@ -52,7 +52,9 @@ Method = Annotated[
 Select = Annotated[
     str | None,
     typer.Option(
-        metavar="A:B[,C:D]", help="Use only scans with these numbers.", show_default="all"
+        metavar="A:B[,C:D]",
+        help="Use only scans with these numbers, A and B included.",
+        show_default="all",
     ),
 ]
 PosesOfEach = Annotated[
@@ -67,7 +69,7 @@ SelectOfEach = Annotated[
     list[str] | None,
     typer.Option(
         metavar="A:B[,C:D]",
-        help="Use only these scans: one list for all, or one per sequence.",
+        help="Use only these scans, A and B included: one list for all, or one per sequence.",
         show_default="all",
     ),
 ]

@@ -174,7 +174,7 @@ def show_results(
     if json:
         print_json(evaluation)
     else:
-        _show_answers(evaluation, f"{recording.name} in {name}")
+        _show_answers(evaluation, f"{recording.name} in {name}", whole=bool(written or html))
         if written:
             print(f"{out}: {', '.join(written)}")
         if html is not None:
@@ -183,8 +183,11 @@ def show_results(
         note(line)
 
 
-def _show_answers(evaluation: Evaluation, title: str) -> None:
-    """Print one result as a line, several as a table with the worst first and a summary."""
+def _show_answers(evaluation: Evaluation, title: str, *, whole: bool) -> None:
+    """Print one result as a line, several as a table with the worst first and a summary.
+
+    ``whole`` tells that files have all results.
+    """
     if len(evaluation) == 1:
         print(report.sentence(evaluation.results[0]))
     else:
@@ -192,8 +195,8 @@ def _show_answers(evaluation: Evaluation, title: str) -> None:
         rows = [report.answer_row(evaluation, i) for i in order[:_MAX_ROWS]]
         table(title, report.ANSWER_COLUMNS, rows, texts=(0, 2))
         if len(order) > _MAX_ROWS:
-            more = len(order) - _MAX_ROWS
-            print(f"{more} more with higher confidence; --out DIR, --html FILE or --json has all")
+            more = f"{len(order) - _MAX_ROWS} more, surer ones"
+            print(more if whole else f"{more}; --out DIR, --html FILE or --json has all")
     if len(evaluation) > 1 or evaluation.truths is not None:
         table(title, ("", ""), report.summary_rows(evaluation.summary()))
 

@@ -17,6 +17,9 @@ from ..datasets.odometry import compute_odometry, kept_odometry, odometry_path
 from . import options
 from .console import busy, note, progress
 
+BODY_SCANS = 12
+"""Scans in which points on the robot itself are sought."""
+
 
 def open_recording(
     path: Path,
@@ -26,18 +29,20 @@ def open_recording(
     topic: str | None = None,
     deskew: bool = True,
     odometry: bool = False,
-    mount: MountConfig | None = None,
+    local: LocalCloudConfig | None = None,
 ) -> Sequence:
     """Open a recording as :func:`~segloc.tools.datasets.open_sequence` does.
 
     With ``odometry`` its poses are read from the odometry file beside it, which is computed if
-    missing. These are the sensor's; other poses are the base's if ``mount`` is set.
+    missing, without the points on the body of ``local``. These poses are the sensor's; others are
+    the base's if its mount is set.
     """
+    local = local or LocalCloudConfig()
     if odometry:
         if poses is not None:
             raise ConfigError("--odometry and --poses exclude each other")
-        poses = _odometry_of(path, topic)
-    T = None if odometry else place_of_sensor(mount)
+        poses = _odometry_of(path, topic, local)
+    T = None if odometry else place_of_sensor(local.mount)
     sequence = open_sequence(path, poses, select, topic=topic, deskew=deskew, T_base_sensor=T)
     for line in getattr(sequence, "notes", ()):
         note(line)
@@ -52,14 +57,14 @@ def open_recordings(
     topic: str | None,
     deskew: bool,
     odometry: bool,
-    mount: MountConfig,
+    local: LocalCloudConfig,
 ) -> Iterator[Sequence]:
     """Open several recordings, one after another, with the values of options for each."""
     files = options.each(poses, len(paths), "--poses")
     scans = options.each(select, len(paths), "--select")
     for path, file, chosen in zip(paths, files, scans, strict=True):
         yield open_recording(
-            path, file, chosen, topic=topic, deskew=deskew, odometry=odometry, mount=mount
+            path, file, chosen, topic=topic, deskew=deskew, odometry=odometry, local=local
         )
 
 
@@ -84,7 +89,7 @@ def place_of_sensor(mount: MountConfig | None) -> Pose | None:
     return mount.T_base_sensor if mount is not None and mount.poses_of_base else None
 
 
-def _odometry_of(path: Path, topic: str | None) -> Path:
+def _odometry_of(path: Path, topic: str | None, local: LocalCloudConfig) -> Path:
     """Return the file with the recording's odometry, computed if missing."""
     file = odometry_path(path, topic)
     recording = open_sequence(path, NO_POSES, topic=topic)
@@ -92,7 +97,7 @@ def _odometry_of(path: Path, topic: str | None) -> Path:
         note(f"odometry from {file}")
         return file
     with progress("Odometry") as update:
-        compute_odometry(recording, file, update)
+        compute_odometry(recording, file, local, update)
     note(f"odometry written to {file}")
     return file
 
@@ -105,12 +110,16 @@ def check_fit(recording: Recording, path: Path, config: LocalCloudConfig) -> Non
     DatasetError
         With the fault and its remedy.
     """
-    from ..doctor import require_mappable
+    from ..doctor import body_findings, require_mappable, sample_scans
 
-    with busy("Checking scans against poses"):
-        finding = require_mappable(recording, config, path, "--unchecked")
-    if finding is not None:
+    with busy("Checking scans"):
+        body = body_findings(sample_scans(recording, BODY_SCANS), config)
+    for finding in body:
         note(str(finding))
+    with busy("Checking scans against poses"):
+        fault = require_mappable(recording, config, path, "--unchecked")
+    if fault is not None:
+        note(str(fault))
 
 
 def check_passes(recordings: list[Sequence], config: LocalCloudConfig, align: str) -> None:

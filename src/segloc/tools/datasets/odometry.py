@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DatasetError, InvalidScan
+from ...frontend.local_cloud import LocalCloudConfig
 from ...scan_odometry import ScanOdometry
 from ...types import Float64
 from ..io.pose_files import read_trajectory
@@ -22,6 +23,7 @@ _CAPTURES = (".bag", ".db3", ".mcap", ".pcap")
 
 def lidar_odometry(
     recording: RecordedSequence,
+    config: LocalCloudConfig | None = None,
     *,
     max_range_m: float = 100.0,
     progress: Callable[[int, int], None] | None = None,
@@ -35,6 +37,8 @@ def lidar_odometry(
     ----------
     recording : RecordedSequence
         Any sequence that :func:`~segloc.tools.datasets.open_sequence` opens.
+    config : LocalCloudConfig, optional
+        Points on the robot itself, by ``body``, are not used.
     max_range_m : float
         Range beyond which points are ignored [m].
     progress : callable, optional
@@ -53,11 +57,11 @@ def lidar_odometry(
     MissingDependency
         If kiss-icp is not installed.
     """
-    odometry = ScanOdometry(max_range_m)
+    odometry, config = ScanOdometry(max_range_m), config or LocalCloudConfig()
     clock = _clock(recording)
     keys, poses = [], []
     for i in range(len(recording)):
-        scan = recording.raw(i)
+        scan = config.without_body(recording.raw(i))
         if clock is None:
             scan.times = None
         try:
@@ -105,7 +109,10 @@ def kept_odometry(file: Path, recording: RecordedSequence, path: Path) -> bool:
 
 
 def compute_odometry(
-    recording: RecordedSequence, file: Path, progress: Callable[[int, int], None] | None = None
+    recording: RecordedSequence,
+    file: Path,
+    config: LocalCloudConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Run :func:`lidar_odometry` and write its poses to a TUM file.
 
@@ -116,6 +123,6 @@ def compute_odometry(
             f"{file}: folder not writable: run `segloc odometry {recording.name} --out FILE.tum`, "
             "and pass --poses FILE.tum"
         )
-    trajectory = lidar_odometry(recording, progress=progress)
+    trajectory = lidar_odometry(recording, config, progress=progress)
     write_tum(file, trajectory)
     return trajectory

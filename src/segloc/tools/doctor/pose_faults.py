@@ -242,8 +242,8 @@ def _smear(fits: list[Fit]) -> list[Finding]:
         what = f"neighbouring clouds do not match at their poses (agreement {agreement:.2f} of 1)"
         remedy = (
             "they are of another recording, in another order or on another clock, or odometry was "
-            "lost: pass poses of this one, by your SLAM or by `segloc odometry`, or record scans "
-            "at shorter distances"
+            "lost: pass poses of this one by your SLAM, or by `segloc odometry` unless these are "
+            "its own, or record scans at shorter distances"
         )
         return [Finding(Fault.POSES_SMEAR, what, remedy)]
     off_m = float(np.median([fit.off_m for fit in fits]))

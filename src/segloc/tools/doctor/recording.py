@@ -19,7 +19,7 @@ from ...localization import Localization
 from ...localizer import Localizer
 from ...map.segment_map import SegmentMap
 from ...system.text import number, quantity
-from ...types import Float32, Recording, Scan, Scanned, as_recording
+from ...types import Float32, Float64, Recording, Scan, Scanned, as_recording
 from ..datasets import RecordedSequence
 from ..datasets.inspection import UNUSABLE, Inspection, inspect
 from .body_in_view import body_findings
@@ -155,6 +155,8 @@ def examine(
         posing = pose_findings(recording, config) if sound else []
         if sound and posed and not posing:
             posing = revisit_findings(recording, config)
+        if any(finding.fault in _FRAME_FAULTS for finding in posing):
+            found = [one for one in found if one.what not in facts.sensor_changes]
         if any(finding.wrong for finding in posing):
             tilts = [one for one in tilts if one.fault is not Fault.POSES_TILTED]
         found += tilts + posing
@@ -369,11 +371,22 @@ def _find_inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding 
     except SeglocError:
         return None
     few = clouds[:: max(1, len(clouds) // _TRIALS)][:_TRIALS]
-    found = [localizer.localize(points * _HALF_TURN).localized for points in few]
+    path, storey_m = prior_map.trajectory[:, :3, 3], localizer.config.pose.separation.height
+    turned = [localizer.localize(points * _HALF_TURN).T_map_sensor for points in few]
+    # In a mirrored axis floor and ceiling of a corridor fit each other, a storey too low or high.
+    found = [T is not None and _height_off(T[:3, 3], path) < storey_m for T in turned]
     if sum(found) <= len(few) / 2:
         return None
     what = f"localized upside down: {sum(found)} of {quantity(len(few), 'scans')}"
     return Finding(Fault.Z_DOWN, f"{what}, so the z axis points down", Z_DOWN_REMEDY)
+
+
+def _height_off(position: Float64, path: Float64) -> float:
+    """Return how much higher or lower a position is than the nearest of a path, [m]."""
+    if not len(path):
+        return 0.0
+    nearest = path[np.linalg.norm(path[:, :2] - position[:2], axis=1).argmin()]
+    return abs(float(position[2] - nearest[2]))
 
 
 def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[str, str]]:

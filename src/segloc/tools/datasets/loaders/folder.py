@@ -205,7 +205,8 @@ def _indices(paths: list[Path], folder: Path) -> list[int]:
             raise DatasetError(f"{path}: the number in its name is too large")
         if index in seen:
             raise DatasetError(
-                f"{folder}: {seen[index].name} and {path.name} are both scan {index}"
+                f"{folder}: {seen[index].name} and {path.name} are both scan {index}; keep one "
+                "recording a folder, with its scans numbered"
             )
         seen[index] = path
     return list(seen)
