@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 SCALE ?= small
-# Native builds are kept by environment, so that two of them do not disturb each other. Nothing is
-# compiled to bytecode but what is imported.
+# Native builds are kept by environment, so that two of them do not disturb each other, all as deep
+# below their sources, so that a compiler's cache finds the same paths. Nothing is compiled to
+# bytecode but what is imported.
 INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
 PIP := SKBUILD_BUILD_DIR=build/native/$(notdir $(VENV)) $(BIN)/python $(INSTALL) -c constraints.txt
 # The extras that tests find. CI has them from those of `dev`, which are these and more.
@@ -146,15 +147,15 @@ wheel-check: ## Build, audit and try the wheels.
 	$(WHEEL_PYTHON) -m venv $(WHEEL)/tools
 	$(WHEEL)/tools/bin/python $(INSTALL) build auditwheel abi3audit
 	mkdir $(WHEEL)/source && tar -c $(patsubst %,--exclude=./%,build .venv .git) . | tar -x -C $(WHEEL)/source
-	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
+	SKBUILD_BUILD_DIR=build/native/wheel $(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) lab >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) plugins/segloc-stems >> $(WHEEL)/log
 	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
-	case $(WHEEL)/segloc-*.whl in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
+	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
 	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "_lab|kitti00|benchmarks|(segmap|forest).safetensors"
 	test $$(stat -c %s $(WHEEL)/segloc-*.whl) -lt $(MOST_BYTES)
 	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv)
-	case $(WHEEL)/segloc-*.whl in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
+	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
 	ls -l $(WHEEL)/*.whl $(WHEEL)/*.tar.gz
 
 # Of a Python and a folder: the wheels in an environment of their own, first that of segloc alone.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -113,11 +114,13 @@ def test_the_fit_finds_the_weights_that_drew_the_classes() -> None:
 
 
 @pytest.fixture(scope="module")
-def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def worlds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("calibration") / "worlds"
-    for name, seed in (("offices", 2), ("warehouse", 3)):
-        write_world(simulated(name, seed, 24.0), folder / f"{name}-{seed}", Config(threads=1))
-    return folder
+    with pytest.MonkeyPatch.context() as few:
+        few.setattr("segloc_lab.calibration.worlds.BARE_VIEWS", 2)
+        for name, seed in (("offices", 2), ("warehouse", 3)):
+            write_world(simulated(name, seed, 20.0), folder / f"{name}-{seed}", Config(threads=1))
+        yield folder
 
 
 @pytest.mark.slow
@@ -133,7 +136,7 @@ def test_answers_in_worlds_are_reported(
         return entries(out), (report / "REPORT.md").read_text("utf-8")
 
     several = shutil.copytree(worlds, tmp_path / "worlds")  # one world is lost in two others
-    write_world(simulated("offices", 4, 24.0), several / "offices-4", Config(threads=1))
+    write_world(simulated("offices", 4, 20.0), several / "offices-4", Config(threads=1))
     found, report = run(judge, str(several), "--every", "3")
     answers = judge.flat(found)
     whole = [a for a in answers if a["made"] in judge.WHOLE]

@@ -178,7 +178,7 @@ def test_an_hour_of_a_lidar_alone_at_its_smallest(
     pytest.importorskip("kiss_icp")
     pytest.importorskip("embreex")
     monkeypatch.setattr(live_streams, "STREET_M", 6.0)
-    samples = list(live_streams.alone("vlp16", 5200, 0.1, tmp_path, float("inf")))
+    samples = list(live_streams.alone("vlp16", 5200, 0.1, tmp_path, float("inf"), thin=4))
     assert [s["scans"] for s in samples] == list(range(6, 61, 6))
     assert all(min(s["ms"].values()) > 0 for s in samples)
     live_streams.report(samples, tmp_path / "report")

@@ -69,6 +69,7 @@ SMALLER: tuple[tuple[str, str], ...] = (
     (r"--every 5\b", "--every 6"),
     (r"/elsewhere/poses.tum", "poses_elsewhere.tum"),
     (r"--kitti DATA", ""),
+    (r"(segloc align .*) friday/", r"\1"),
     (r"(segloc localize sample/tuesday .*)", r"\1 --select :4"),
     (r"(segloc evaluate localization .*)", r"\1 --methods geo --workers 1 --every 4"),
     (r"(segloc live .*)--rate 1 ", r"\1--rate 20 "),

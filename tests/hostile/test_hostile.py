@@ -112,7 +112,7 @@ def test_drawn_messages_and_bags(tmp_path: Path) -> None:
     """What a robot's topics say, and bags of any layout; ``make fuzz`` draws many more."""
     pytest.importorskip("rosbags")
     listed = []
-    for how, count in (("node", 40), ("layout", 12)):
+    for how, count in (("node", 15), ("layout", 6)):
         for seed in range(count):
             file = tmp_path / f"{how}-{seed}"
             file.write_bytes(random.Random(seed).randbytes(600))

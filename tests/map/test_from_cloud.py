@@ -38,6 +38,14 @@ IN_PLACE = np.eye(4)
 
 
 @pytest.fixture(scope="module")
+def plaza() -> Plaza:
+    """The middle of a plaza: viewpoints are sought in all of a cloud."""
+    made = Plaza(0)
+    made.points = made.points[np.hypot(made.points[:, 0], made.points[:, 1]) < 30.0]
+    return made
+
+
+@pytest.fixture(scope="module")
 def site(plaza: Plaza) -> SegmentMap:
     return SegmentMap.from_cloud(plaza.points, CONFIG)
 

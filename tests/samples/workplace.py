@@ -55,6 +55,7 @@ def furnish(root: Path) -> Path:
     write_tum(root / "saturday.tum", Trajectory(np.arange(SCANS), saturday.poses))
     write_scan(root / "scan.pcd", first.seen(4))
     points = Plaza(1, objects=90).points
+    points = points[np.hypot(points[:, 0], points[:, 1]) < 25.0]
     write_scan(root / "cloud.pcd", points)
     (root / "submaps").mkdir()
     for name, part in zip(("north", "south"), np.array_split(points, 2), strict=True):
