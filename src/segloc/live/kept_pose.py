@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 
 from .. import geometry
 from ..errors import SeglocError
+from ..map.identity import map_id
 from ..map.segment_map import SegmentMap
 from ..prior import Prior
 from ..system.checks import checked_pose
@@ -68,14 +68,6 @@ class KeptPose:
         if is_reachable and moved_m < float(np.linalg.norm(T_odom_base[:3, 3])):
             return self.T_map_base @ geometry.inverse(self.T_odom_base) @ T_odom_base
         return self.T_map_base
-
-
-def map_id(prior_map: SegmentMap) -> str:
-    """Identify a map by its contents."""
-    digest = hashlib.blake2b(prior_map.fingerprint.encode(), digest_size=16)
-    for array in (prior_map.origin, prior_map.centroids, prior_map.trajectory):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 class PoseKeeper:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import operator
 import re
+import socket
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ from segloc.tools.inspect.following import (
     newest_points,
     read_moments,
 )
-from segloc.tools.inspect.pictures import GREEN, rgb
+from segloc.tools.inspect.pictures import GREEN, PATH, rgb
 from segloc.tools.inspect.results import pack, read_results, unpack
 from segloc.tools.inspect.scene import FIXED, OF_QUERY, OTHER, RUNNER_UP, MapScene
 from segloc.tracking.belief import Status
@@ -291,19 +292,25 @@ def test_the_page_shows_the_map_and_the_queries(
     assert len(text) < 20e6 and not re.search(r"<(script|link|img)[^>]+(src|href)=.?http", text)
     page.open(file.as_uri())
     assert page.until("!!document.querySelector('[role=slider]')")
-    output = "document.querySelector('#segloc').innerText"
+    output, number = (
+        f"document.querySelector('{name}').innerText" for name in ("#segloc", "#scan + output")
+    )
 
-    def choose(query: int, expected: str) -> None:
-        box = "const box = document.querySelector('#segloc select')"
-        # In one go: the page itself moves its box as it plays.
-        page.value(f"{{ {box}; box.value = {query}; box.dispatchEvent(new Event('change')); }}")
-        assert page.until(f"{output}.includes('{expected}')"), page.value(output)
-        page.wait(3.0)
+    def choose(control: str, query: int, expected: str) -> None:
+        page.value(
+            f"{{ const control = document.querySelector('{control}'); control.value = {query};"
+            "control.dispatchEvent(new Event('input', { bubbles: true })); }"
+        )
+        page.wait(viewer.SECONDS_A_QUERY + 1.0)  # a page that plays would go on to another
+        assert expected in page.value(output)
+        assert page.value(number) == f"scan {expected[0]}"
 
-    choose(0, "0: localized")
+    assert page.until("!!document.querySelector('#scan')")
+    choose("#scan", 0, "0: localized")
     before = drawn(page)
     assert colourful(before) > 0.01  # segments, matches, markers
-    choose(2, "2: refused\\n\\nnot localized: ")
+    choose("#segloc select", 1, "1: localized")
+    choose("#scan", 2, "2: refused\n\nnot localized: ")
     after = pixels(page)
     assert np.abs(after - before)[:500, :700].max(axis=2).mean() > 0.005  # another query
     assert alike(after, GREEN) + alike(before, GREEN) > 50  # markers of those that are found
@@ -312,11 +319,66 @@ def test_the_page_shows_the_map_and_the_queries(
 
 
 @pytest.mark.slow
+def test_the_page_begins_with_the_first_query_and_the_whole_scale_on_a_phone(
+    site: Site, results: Path, tmp_path: Path, browser_page: Any
+) -> None:
+    file, page = tmp_path / "page.html", browser_page
+    assert run("view", site.map, results, "--html", file) == 0
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    page.do("Emulation.setDeviceMetricsOverride", **phone)
+    try:
+        page.open(file.as_uri())
+        assert page.until("!!document.querySelector('#scan')"), page.faults
+        page.wait(2 * viewer.SECONDS_A_QUERY)
+        shot = pixels(page)
+        assert page.value("document.querySelector('#segloc').innerText").startswith("0: localized")
+        assert page.value("document.documentElement.scrollWidth") == 390
+    finally:
+        page.do("Emulation.clearDeviceMetricsOverride")
+    grey = np.abs(shot[150:500] - np.array(rgb(PATH)) / 255.0).max(axis=2) < 0.1
+    columns = np.flatnonzero(grey[grey.sum(axis=1).argmax()])
+    assert len(columns) > 40 and columns[0] > 10  # the bar, above the panel
+
+
+def test_a_named_port_that_is_taken_is_refused(site: Site) -> None:
+    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(SeglocError, match=f"port {port} cannot be used: "):
+            viewer.serve(SegmentMap.load(site.map), [], port)
+
+
+@pytest.mark.slow
+def test_results_of_another_map_are_noted(
+    site: Site, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser", reason="the viewer needs the extra 'view'")
+    live, summary = tmp_path / "live", results / "summary.json"
+    options = ["--map", site.map, "--poses", "poses.tum", "--select", "0:1", "--out", live]
+    assert run("live", site.run, *options) == 0
+    other = SegmentMap.load(site.map)
+    other.add_trajectory(np.eye(4)[None])
+    other.save(tmp_path / "other.segmap")
+
+    def noted(prior_map: Path, out: Path) -> bool:
+        capsys.readouterr()
+        assert run("view", prior_map, out, "--html", tmp_path / "page.html") == 0
+        return "localized in another map than" in capsys.readouterr().err
+
+    for out in (results, live):
+        assert not noted(site.map, out) and noted(tmp_path / "other.segmap", out)
+    whole = summary.read_text("utf-8")
+    try:
+        summary.write_text(whole.replace("map_id", "before"))
+        assert not noted(tmp_path / "other.segmap", results)
+    finally:
+        summary.write_text(whole)
+
+
+@pytest.mark.slow
 def test_the_server_shows_a_panel_with_the_reason(
     site: Site, results: Path, browser_page: Any
 ) -> None:
-    from segloc.tools.inspect import viewer
-
     shown, page = read_results(results), browser_page
     server = viewer.serve(SegmentMap.load(site.map), shown, 0)
     try:

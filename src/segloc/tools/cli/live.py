@@ -81,7 +81,7 @@ def live(
     from ...tiles import open_map
     from ..datasets import NO_POSES
     from .recording import levelled_poses, open_recording, place_of_sensor, true_poses
-    from .results import check_folder, frame_facts, write_together
+    from .results import check_folder, map_facts, write_together
 
     check_folder(out)
     if odometry and poses is not None:
@@ -115,7 +115,7 @@ def live(
         "rate": rate,
     }
     facts |= summary(played, truths, tolerance_m, tolerance_deg)
-    facts |= frame_facts(localizer.prior_map)
+    facts |= map_facts(localizer.prior_map)
     fits = correct(played, truths, tolerance_m, tolerance_deg)
     write_together(out, _contents(recording, played, facts, fits))
     _show(facts, f"{recording.name} in {options.map_name(prior_map)}")

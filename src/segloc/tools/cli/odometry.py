@@ -49,7 +49,7 @@ def odometry(
     )
     local = options.load_config(config, None, 1).local_cloud
     with progress("Odometry") as update:
-        poses = compute_odometry(recording, file, local, update).poses
+        poses = compute_odometry(recording, file, local.without_body, update).poses
     with busy("Checking scans against poses"):
         faults = pose_findings(Reposed(recording, poses))
         # What moves with the sensor holds the odometry back.

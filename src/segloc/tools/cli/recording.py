@@ -97,7 +97,7 @@ def _odometry_of(path: Path, topic: str | None, local: LocalCloudConfig) -> Path
         note(f"odometry from {file}")
         return file
     with progress("Odometry") as update:
-        compute_odometry(recording, file, local, update)
+        compute_odometry(recording, file, local.without_body, update)
     note(f"odometry written to {file}")
     return file
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...errors import MissingDependency, SeglocError
 from ...map.georeference import KEY, Georeference
+from ...map.identity import MAP_ID, map_id
 from ...map.info import CLOUD_FRAME
 from ...system.files import checked_target, replacing, require_permission
 from ...system.locks import exclusive
@@ -79,9 +80,11 @@ def print_json(evaluation: Evaluation) -> None:
     print(json_text(found))
 
 
-def frame_facts(prior_map: SegmentMap) -> dict[str, Any]:
-    """Return the georeference of a map, and the transform from its cloud, if it has them."""
+def map_facts(prior_map: SegmentMap) -> dict[str, Any]:
+    """Return identity, georeference, and transform from the cloud of a map, if it has them."""
     facts: dict[str, Any] = {}
+    if len(prior_map.cloud):  # not in tiles
+        facts[MAP_ID] = map_id(prior_map)
     if (where := Georeference.of(prior_map.metadata)) is not None:
         facts[KEY] = json.loads(where.to_text())
     if CLOUD_FRAME in prior_map.metadata:
@@ -91,7 +94,7 @@ def frame_facts(prior_map: SegmentMap) -> dict[str, Any]:
 
 def _contents(evaluation: Evaluation, prior_map: SegmentMap) -> dict[str, bytes]:
     lines = [json.dumps(record, allow_nan=False) + "\n" for record in evaluation.records()]
-    found = evaluation.summary() | frame_facts(prior_map)
+    found = evaluation.summary() | map_facts(prior_map)
     summary = json.dumps(found, indent=2, allow_nan=False) + "\n"
     return {
         _POSES: _poses(evaluation),

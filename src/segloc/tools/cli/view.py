@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .console import busy, note
+
+if TYPE_CHECKING:
+    from ...map.segment_map import SegmentMap
 
 
 def view(
@@ -29,9 +32,15 @@ def view(
         ),
     ] = None,
     port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, metavar="NUMBER", help="Port of the server, on localhost."),
-    ] = 8080,
+        int | None,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="NUMBER",
+            help="Port of the server, on localhost.",
+            show_default="8080, or the next free one",
+        ),
+    ] = None,
 ) -> None:
     """Show a map and the queries in it in the browser.
 
@@ -42,7 +51,7 @@ def view(
     from ...map.segment_map import SegmentMap
     from ...system.files import checked_target, write_text
     from ..inspect import viewer
-    from ..inspect.following import follows, read_moments
+    from ..inspect.following import SO_FAR, follows, read_moments
     from ..inspect.results import read_results
 
     if html is not None:
@@ -53,6 +62,8 @@ def view(
         queries = [] if results is None or robot is not None else read_results(results)
     if queries and not any(query.stages for query in queries):
         note("only positions of queries are stored: `segloc localize --debug` stores their stages")
+    if results is not None and not (results / SO_FAR).is_file():  # else the summary is an old one
+        _check_map(results, prior_map, prior)
     if html is not None:
         with busy("Writing the page"):
             if robot is None:
@@ -68,3 +79,15 @@ def view(
         server = viewer.follow(prior, robot, port)
     print(f"http://localhost:{server.get_port()} shows {prior_map}; Ctrl-C stops it", flush=True)
     server.sleep_forever()
+
+
+def _check_map(results: Path, path: Path, prior_map: SegmentMap) -> None:
+    """Note if results were localized in another map."""
+    from ...map.identity import map_id
+    from ..inspect.results import stored_map_id
+
+    if stored_map_id(results) not in (None, map_id(prior_map)):
+        note(
+            f"{results}: localized in another map than {path}, or in another version of it: poses "
+            "may not fit; view them in the map in which they were localized"
+        )

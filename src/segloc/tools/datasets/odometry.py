@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DatasetError, InvalidScan
-from ...frontend.local_cloud import LocalCloudConfig
 from ...scan_odometry import ScanOdometry
-from ...types import Float64
+from ...types import Float64, Scan
 from ..io.pose_files import read_trajectory
 from ..io.trajectory import Trajectory, write_tum
 from .clocks import epoch_unit
@@ -23,7 +22,7 @@ _CAPTURES = (".bag", ".db3", ".mcap", ".pcap")
 
 def lidar_odometry(
     recording: RecordedSequence,
-    config: LocalCloudConfig | None = None,
+    part: Callable[[Scan], Scan] = lambda scan: scan,
     *,
     max_range_m: float = 100.0,
     progress: Callable[[int, int], None] | None = None,
@@ -37,8 +36,9 @@ def lidar_odometry(
     ----------
     recording : RecordedSequence
         Any sequence that :func:`~segloc.tools.datasets.open_sequence` opens.
-    config : LocalCloudConfig, optional
-        Points on the robot itself, by ``body``, are not used.
+    part : callable, optional
+        Returns the part of a scan that is used, as :meth:`LocalCloudConfig.without_body`; by
+        default all of it.
     max_range_m : float
         Range beyond which points are ignored [m].
     progress : callable, optional
@@ -57,11 +57,11 @@ def lidar_odometry(
     MissingDependency
         If kiss-icp is not installed.
     """
-    odometry, config = ScanOdometry(max_range_m), config or LocalCloudConfig()
+    odometry = ScanOdometry(max_range_m)
     clock = _clock(recording)
     keys, poses = [], []
     for i in range(len(recording)):
-        scan = config.without_body(recording.raw(i))
+        scan = part(recording.raw(i))
         if clock is None:
             scan.times = None
         try:
@@ -111,7 +111,7 @@ def kept_odometry(file: Path, recording: RecordedSequence, path: Path) -> bool:
 def compute_odometry(
     recording: RecordedSequence,
     file: Path,
-    config: LocalCloudConfig | None = None,
+    part: Callable[[Scan], Scan] = lambda scan: scan,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Run :func:`lidar_odometry` and write its poses to a TUM file.
@@ -123,6 +123,6 @@ def compute_odometry(
             f"{file}: folder not writable: run `segloc odometry {recording.name} --out FILE.tum`, "
             "and pass --poses FILE.tum"
         )
-    trajectory = lidar_odometry(recording, config, progress=progress)
+    trajectory = lidar_odometry(recording, part, progress=progress)
     write_tum(file, trajectory)
     return trajectory

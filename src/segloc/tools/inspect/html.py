@@ -12,6 +12,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #222b38; background: #fff; m
   margin: 2em auto; padding: 0 1em }
 h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 1.6em 0 .4em }
 h3 { font-size: 1em; margin: 1em 0 .2em; color: #59637a }
+h1, h2, h3, p, figcaption { overflow-wrap: anywhere }
 .good, .bad { font-weight: 600 } .good { color: #0d7a3c } .bad { color: #b81d30 }
 .tables { overflow-x: auto } table { border-collapse: collapse }
 th { text-align: left; font-weight: 600; border-bottom: 1px solid #dde2ea }

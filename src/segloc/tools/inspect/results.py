@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...errors import SeglocError
 from ...geometry import first_of_cells
+from ...map.identity import MAP_ID
 from ...types import Float32, Int64, Pose
 from .trace import Tables, Trace, confidence_tables, steps, summarize
 
@@ -92,6 +93,14 @@ def read_results(folder: Path) -> list[Shown]:
         else query
         for query in parse_records(_as_shown, lines, file)
     ]
+
+
+def stored_map_id(folder: Path) -> str | None:
+    """Return the identity of the map of results; None if it is not stored."""
+    try:
+        return str(json.loads((folder / "summary.json").read_text("utf-8"))[MAP_ID])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def parse_records(parse: Callable[[Any], Parsed], lines: Sequence[str], file: Path) -> list[Parsed]:

@@ -14,6 +14,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from html import escape
 from io import StringIO
 from pathlib import Path
+from socket import create_server
 from string import Template
 from threading import Thread
 from typing import Any
@@ -34,6 +35,7 @@ from .trace import Tables
 SECONDS_A_QUERY = 2.0
 _EVERY_S = 0.5
 _MAX_FARTHER, _SOUTH = 1.6, 0.45  # of the camera on upright screens, in its distance
+_HOST, _PORT = "127.0.0.1", 8080
 
 _OF_CLOUD = (
     (GREEN, "cloud on the map, inliers"),
@@ -52,11 +54,13 @@ _STYLE = Template("""
 #segloc td:first-child { padding-right: .7em; white-space: nowrap; opacity: .75 }
 #segloc .parts td:first-child { text-align: right; font-variant-numeric: tabular-nums }
 #segloc small { display: block; border-top: 1px solid #8884; margin-top: .5em; padding-top: .4em }
+#scan { flex-grow: 1; min-width: 0; accent-color: $blue }
+#scan + output { font: 12px system-ui, sans-serif; white-space: nowrap }
 @media (prefers-color-scheme: dark) { #segloc { background: #1a1b1ef2; color: $pale } }
 @media (max-width: 40em) { #segloc { top: auto; bottom: 4em; left: 0; right: 0; width: auto;
   max-width: none; max-height: 32vh; border-radius: 0 } }
 </style>
-""").substitute(dark=DARK, pale=PALE)
+""").substitute(dark=DARK, pale=PALE, blue=BLUE)
 _LEGEND_STYLE = """<style>#legend { padding: 0 1em .6em; font-size: 13px }
 @media (max-width: 40em) { #legend { display: none } }</style>"""
 # viser has options for the dark theme, of its address and of its pages, but follows no preference.
@@ -65,7 +69,9 @@ _OPENED = f"""
 document.title = "segloc";
 if ({_DARK} && !/[?&]darkMode/.test(location.search)) location.search += "&darkMode";
 """
-# The page's player shows each query for some seconds; its slider and its field hold the time.
+# viser's player begins by playing, and its slider and field hold seconds: in their place the page
+# has a slider over queries with their scan numbers. The field takes the time of the chosen query,
+# which pauses the player.
 _PANEL = Template("""
 <div id="segloc"><select aria-label="query"></select><b></b><p></p><table></table>
 <b>evidence, in log-odds</b><table class="parts"></table><small>$legend</small></div>
@@ -81,12 +87,15 @@ _PANEL = Template("""
     return line;
   }));
   queries.forEach((q, k) => box.add(new Option(q.index + ": " + q.outcome, k)));
-  let shown = -1;
+  const slider = document.createElement("input"), number = document.createElement("output");
+  Object.assign(slider, { id: "scan", type: "range", max: queries.length - 1, ariaLabel: "scan" });
+  let shown = -1, time = null, field = null;
   const show = (k) => {
     if (k === shown || !queries[k]) return;
     shown = k;
     const q = queries[k];
-    box.value = k;
+    box.value = slider.value = k;
+    number.textContent = "scan " + q.index;
     head.textContent = q.index + ": " + q.outcome;
     head.style.color = q.colour;
     summary.textContent = q.summary;
@@ -94,26 +103,43 @@ _PANEL = Template("""
     fill(parts, q.parts);
     title.hidden = parts.hidden = !q.parts.length;
   };
-  const time = () => document.querySelector("[role=slider]")?.getAttribute("aria-valuenow");
-  setInterval(() => {
-    const now = time();
-    if (now != null) show(Math.min(queries.length - 1, Math.floor(Number(now) / seconds + 1e-6)));
-  }, 150);
-  box.addEventListener("change", () => {
-    const field = document.querySelector("input[type=text], input[inputmode]");
-    if (!field) return show(Number(box.value));
+  const choose = (k) => {
+    show(k);
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
-    field.focus();
-    set.call(field, String(seconds * (Number(box.value) + 0.5)));
+    set.call(field, String(seconds * (k + 0.52)));  // no text that the field has, of one decimal
     field.dispatchEvent(new Event("input", { bubbles: true }));
-    field.dispatchEvent(new Event("change", { bubbles: true }));
-    field.blur();
-  });
+  };
+  const start = () => {
+    const theirs = document.querySelector(".mantine-Slider-root");
+    if (!theirs) return;
+    const beside = theirs.previousElementSibling;
+    time = theirs.querySelector("[role=slider]");
+    field = beside.querySelector("input");
+    theirs.style.display = beside.style.display = "none";
+    theirs.after(slider, number);
+    choose(0);
+    for (const each of [box, slider])
+      each.addEventListener("input", () => choose(Number(each.value)));
+  };
+  setInterval(() => {
+    if (!time) return start();
+    const now = Number(time.getAttribute("aria-valuenow"));
+    show(Math.min(queries.length - 1, Math.floor(now / seconds + 1e-6)));
+  }, 150);
   show(0);
 })();
 </script>
 """)
 
+# A camera in the address of viser's page comes before that of the page itself.
+_UPRIGHT = Template("""
+if (matchMedia("(orientation: portrait)").matches) {
+  const camera = $camera, get = URLSearchParams.prototype.get;
+  URLSearchParams.prototype.get = function (name) {
+    return get.call(this, name) ?? camera[name] ?? null;
+  };
+}
+""")
 
 # Points need no anti-aliasing. Without it 200 000 points are drawn two to three times as fast by a
 # processor.
@@ -174,12 +200,18 @@ def html(prior_map: SegmentMap, queries: Sequence[Shown]) -> str:
         for query in shown:
             scene.draw_query(query)
             recorded.insert_sleep(SECONDS_A_QUERY)
-        page = str(recorded.as_html())
-        return _with(page, _panel(shown, legend) if shown else "")
+        return _page(server, recorded, _panel(shown, legend) if shown else "")
 
 
-def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
+def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int | None = None) -> Any:
     """Start a server on this machine only, with a panel to choose queries and layers.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    queries : sequence of Shown
+    port : int, optional
+        0 for any free port; by default 8080, or else the next free port.
 
     Returns
     -------
@@ -202,8 +234,15 @@ def serve(prior_map: SegmentMap, queries: Sequence[Shown], port: int) -> Any:
     return server
 
 
-def follow(prior_map: SegmentMap, folder: Path, port: int) -> Any:
+def follow(prior_map: SegmentMap, folder: Path, port: int | None = None) -> Any:
     """Start a server that follows the robot of ``segloc live --out``.
+
+    Parameters
+    ----------
+    prior_map : SegmentMap
+    folder : path
+    port : int, optional
+        As of :func:`serve`.
 
     Returns
     -------
@@ -263,8 +302,8 @@ def html_of_robot(prior_map: SegmentMap, moments: Sequence[Moment]) -> str:
             for state, count in counts.most_common()
         )
         head = f"<b>{quantity(len(moments), 'scans')}</b><table>{rows}</table>"
-        page = str(server.get_scene_serializer().as_html())
-        return _with(page, f'<div id="segloc">{head}<small>{legend}</small></div>')
+        panel = f'<div id="segloc">{head}<small>{legend}</small></div>'
+        return _page(server, server.get_scene_serializer(), panel)
 
 
 def _look_at_robot(server: Any, scene: MapScene, moments: Sequence[Moment]) -> None:
@@ -280,12 +319,16 @@ def _look_from(server: Any, view: tuple[Float64, Float64]) -> None:
 
 
 def _look(camera: Any, view: tuple[Float64, Float64]) -> None:
-    """Point one camera; on upright screens from farther, with the place above the panel."""
+    """Point one camera."""
+    camera.position, camera.look_at = _framed(view, 1.0 / camera.aspect)
+
+
+def _framed(view: tuple[Float64, Float64], farther: float) -> tuple[Float64, Float64]:
+    """Return the camera; on upright screens from farther, with the place above the panel."""
     position, target = view
-    farther = max(1.0, 1.0 / camera.aspect)
-    position = target + min(farther, _MAX_FARTHER) * (position - target)
+    position = target + min(max(1.0, farther), _MAX_FARTHER) * (position - target)
     south = (farther > 1.0) * _SOUTH * np.array([0.0, position[1] - target[1], 0.0])
-    camera.position, camera.look_at = position + south, target + south
+    return position + south, target + south
 
 
 def _add_layers(
@@ -388,15 +431,19 @@ def _swatches(legend: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def _server(port: int) -> Any:
+def _server(port: int | None) -> Any:
     """Start a server on this machine only."""
     with requires("viser", "view", "viewing"):
         import viser
     try:
-        with redirect_stdout(StringIO()):  # it prints even in quiet mode
-            server = viser.ViserServer(host="127.0.0.1", port=port, label="segloc", verbose=False)
+        if port is not None:  # viser goes on to the next free port without a word
+            create_server((_HOST, port)).close()
     except OSError as error:
         raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
+    with redirect_stdout(StringIO()):  # it prints even in quiet mode
+        server = viser.ViserServer(
+            host=_HOST, port=_PORT if port is None else port, label="segloc", verbose=False
+        )
     # A connection that is closed without a request is a traceback there.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(BLUE))
@@ -465,10 +512,14 @@ def _flat(tables: Tables) -> list[list[str]]:
     ]
 
 
-def _with(page: str, panel: str) -> str:
-    """Add a panel to a page of viser's player, with the title and the reader's theme."""
-    page = page.replace("<title>Viser</title>", "<title>segloc</title>", 1)
-    page = page.replace("<head>", f"<head><script>{_SHARP}{_THINNED}</script>", 1)
+def _page(server: Any, recorded: Any, panel: str) -> str:
+    """Return a page of viser's player with a panel, the title and the reader's theme."""
+    view = server.initial_camera.position, server.initial_camera.look_at
+    names = "initialCameraPosition", "initialCameraLookAt"
+    points = (",".join(map(str, point)) for point in _framed(view, _MAX_FARTHER))
+    upright = _UPRIGHT.substitute(camera=json.dumps(dict(zip(names, points, strict=True))))
+    page = str(recorded.as_html()).replace("<title>Viser</title>", "<title>segloc</title>", 1)
+    page = page.replace("<head>", f"<head><script>{upright}{_SHARP}{_THINNED}</script>", 1)
     page = page.replace("{darkMode:false}", f"{{darkMode:{_DARK}}}", 1)
     head, end, tail = page.rpartition("</body>")
     return f"{head}{_STYLE}{panel}{end}{tail}" if end else f"{page}{_STYLE}{panel}"
