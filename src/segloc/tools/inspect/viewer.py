@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -439,7 +440,8 @@ def _server(port: int | None) -> Any:
         if port is not None:  # viser goes on to the next free port without a word
             create_server((_HOST, port)).close()
     except OSError as error:
-        raise SeglocError(f"port {port} cannot be used: {error.strerror or error}") from error
+        reason = os.strerror(error.errno or 0)
+        raise SeglocError(f"port {port} cannot be used ({reason}): choose another") from error
     with redirect_stdout(StringIO()):  # it prints even in quiet mode
         server = viser.ViserServer(
             host=_HOST, port=_PORT if port is None else port, label="segloc", verbose=False
