@@ -373,7 +373,7 @@ def _find_inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding 
     few = clouds[:: max(1, len(clouds) // _TRIALS)][:_TRIALS]
     path, storey_m = prior_map.trajectory[:, :3, 3], localizer.config.pose.separation.height
     turned = [localizer.localize(points * _HALF_TURN).T_map_sensor for points in few]
-    # In a mirrored axis floor and ceiling of a corridor fit each other, a storey too low or high.
+    # Scans with one axis mirrored may fit the reflection in a floor: too low.
     found = [T is not None and _height_off(T[:3, 3], path) < storey_m for T in turned]
     if sum(found) <= len(few) / 2:
         return None
@@ -382,7 +382,7 @@ def _find_inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding 
 
 
 def _height_off(position: Float64, path: Float64) -> float:
-    """Return how much higher or lower a position is than the nearest of a path, [m]."""
+    """Return how much higher or lower a position is than the nearest of a path [m]."""
     if not len(path):
         return 0.0
     nearest = path[np.linalg.norm(path[:, :2] - position[:2], axis=1).argmin()]
