@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import deque
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -189,8 +190,8 @@ def as_scans(scans: Scans) -> Sequence[Scan]:
     """
     if isinstance(scans, Scan):
         return [scans]
-    if not isinstance(scans, Sequence):
-        return [Scan(scans)]  # whatever may be points
+    if not isinstance(scans, (list, tuple, deque)):
+        return [Scan(scans)]  # type: ignore[arg-type]  # whatever may be points
     if not scans:
         raise InvalidScan("no scan given")
     for i, scan in enumerate(scans):
