@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import sys
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +57,7 @@ def test_accumulated_scans_are_localized_whatever_the_odometry_frame(
 ) -> None:
     way = PlazaSequence(plaza, steps=10).poses
     T_odom_world = geometry.yaw_transform(2.5, (500.0, -300.0, 20.0))
-    scans = []
+    scans = deque[Scan](maxlen=10)
     for k, T in enumerate(way):
         seen = plaza.scan(T, seed=100 + k)
         scans.append(Scan(seen.points, stamp=float(k), T_odom_sensor=T_odom_world @ T))
