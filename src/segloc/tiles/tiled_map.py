@@ -108,9 +108,9 @@ class TiledMap:
         MapFormatError
             If the thin map of all tiles is missing or damaged.
         """
-        facts, once = self.coarse().info(), ("segments", "cloud_points", "memory_bytes")
-        found = MapInfo(tiles=len(self), tile_m=self.index.size_m)
-        found.update((key, value) for key, value in facts.items() if key not in once)
+        found = MapInfo(self.coarse().info(), tiles=len(self), tile_m=self.index.size_m)
+        for thin in ("segments", "cloud_points", "memory_bytes"):
+            del found[thin]
         return found
 
     def coarse(self) -> SegmentMap:

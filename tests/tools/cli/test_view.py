@@ -293,12 +293,17 @@ def scale(page: Any) -> np.ndarray:
     return columns
 
 
+@pytest.fixture(scope="module")
+def file(site: Site, results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the results."""
+    page = tmp_path_factory.mktemp("page") / "page.html"
+    assert run("view", site.map, results, "--html", page) == 0
+    return page
+
+
 @pytest.mark.slow
-def test_the_page_shows_the_map_and_the_queries(
-    site: Site, results: Path, tmp_path: Path, browser_page: Any
-) -> None:
-    file, page = tmp_path / "page.html", browser_page
-    assert run("view", site.map, results, "--html", file) == 0
+def test_the_page_shows_the_map_and_the_queries(browser_page: Any, file: Path) -> None:
+    page = browser_page
     text = file.read_text("utf-8")
     assert len(text) < 20e6 and not re.search(r"<(script|link|img)[^>]+(src|href)=.?http", text)
     page.open(file.as_uri())
@@ -331,10 +336,9 @@ def test_the_page_shows_the_map_and_the_queries(
 
 @pytest.mark.slow
 def test_the_page_begins_with_the_first_query_and_the_whole_scale_on_a_phone(
-    site: Site, results: Path, tmp_path: Path, browser_page: Any
+    browser_page: Any, file: Path
 ) -> None:
-    file, page = tmp_path / "page.html", browser_page
-    assert run("view", site.map, results, "--html", file) == 0
+    page = browser_page
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     page.do("Emulation.setDeviceMetricsOverride", **phone)
     try:

@@ -111,8 +111,8 @@ def kept_odometry(file: Path, recording: RecordedSequence, path: Path) -> bool:
 def compute_odometry(
     recording: RecordedSequence,
     file: Path,
-    part: Callable[[Scan], Scan] = lambda scan: scan,
-    progress: Callable[[int, int], None] | None = None,
+    part: Callable[[Scan], Scan],
+    progress: Callable[[int, int], None],
 ) -> Trajectory:
     """Run :func:`lidar_odometry` and write its poses to a TUM file.
 

@@ -18,6 +18,7 @@ from ...frontend.tilt import MIN_TILT_DEG, frame_tilt
 from ...localization import Localization
 from ...localizer import Localizer
 from ...map.segment_map import SegmentMap
+from ...proposals.occupancy import nearest_of
 from ...system.text import number, quantity
 from ...types import Float32, Float64, Recording, Scan, Scanned, as_recording
 from ..datasets import RecordedSequence
@@ -371,13 +372,13 @@ def _find_inverted(clouds: Sequence[Float32], prior_map: SegmentMap) -> Finding 
     except SeglocError:
         return None
     few = clouds[:: max(1, len(clouds) // _TRIALS)][:_TRIALS]
-    path, storey_m = prior_map.trajectory[:, :3, 3], localizer.config.pose.separation.height
     turned = [localizer.localize(points * _HALF_TURN).T_map_sensor for points in few]
     # Scans with one axis mirrored may fit the reflection in a floor: too low.
-    found = [T is not None and _height_off(T[:3, 3], path) < storey_m for T in turned]
-    if sum(found) <= len(few) / 2:
+    storey_m, path = localizer.config.pose.separation.height, prior_map.trajectory[:, :3, 3]
+    found = sum(T is not None and _height_off(T[:3, 3], path) < storey_m for T in turned)
+    if found <= len(few) / 2:
         return None
-    what = f"localized upside down: {sum(found)} of {quantity(len(few), 'scans')}"
+    what = f"localized upside down: {found} of {quantity(len(few), 'scans')}"
     return Finding(Fault.Z_DOWN, f"{what}, so the z axis points down", Z_DOWN_REMEDY)
 
 
@@ -385,8 +386,8 @@ def _height_off(position: Float64, path: Float64) -> float:
     """Return how much higher or lower a position is than the nearest of a path [m]."""
     if not len(path):
         return 0.0
-    nearest = path[np.linalg.norm(path[:, :2] - position[:2], axis=1).argmin()]
-    return abs(float(position[2] - nearest[2]))
+    _, nearest = nearest_of(path[:, :2], position[:2])
+    return abs(float(position[2] - path[nearest, 2]))
 
 
 def facts(recording: RecordedSequence, examination: Examination) -> list[tuple[str, str]]:
