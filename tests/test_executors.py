@@ -23,6 +23,11 @@ GEO = Config.preset("geo").model_copy(update={"threads": 1})
 
 
 @pytest.fixture(scope="module")
+def plaza() -> Plaza:
+    return Plaza(0).thinned(3)
+
+
+@pytest.fixture(scope="module")
 def walks(plaza: Plaza) -> list[Walk]:
     return [Walk(plaza, lane) for lane in (0.0, 1.0, 2.0)]
 

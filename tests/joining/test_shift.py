@@ -30,6 +30,10 @@ STOREY = geometry.yaw_transform(0.0, (0.1, 0.0, 3.2))
 OFF = ("shifted", "turned")
 
 
+def thin(seed: int) -> Plaza:
+    return Plaza(seed).thinned(3)
+
+
 def later(plaza: Plaza) -> PlazaSequence:
     """A walk beside the first one."""
     walk = PlazaSequence(plaza, steps=10)
@@ -45,14 +49,14 @@ def built(folder: Path, poses: str, out: Path) -> Path:
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of a first walk, a later one with poses in three frames, and one elsewhere; maps."""
-    root, plaza = tmp_path_factory.mktemp("shift"), Plaza(0)
+    root, plaza = tmp_path_factory.mktemp("shift"), thin(0)
     as_folder(root / "first", PlazaSequence(plaza, steps=12))
     walk = later(plaza)
     as_folder(root / "later", walk)
     for name, frame in {**FRAMES, "above": STOREY}.items():
         write_tum(root / "later" / f"{name}.tum", Trajectory(walk.indices, frame @ walk.poses))
         built(root / "later", f"{name}.tum", root / f"{name}.segmap")
-    far = PlazaSequence(Plaza(5), steps=6)
+    far = PlazaSequence(thin(5), steps=6)
     moved = geometry.yaw_transform(0.0, (300.0, 0.0, 0.0)) @ far.poses
     as_folder(root / "far", Reposed(far, moved))
     built(root / "first", "poses.tum", root / "site.segmap")
@@ -75,7 +79,7 @@ def contents(where: Path) -> dict[str, bytes]:
 
 def worst_m(prior_map: SegmentMap | TiledMap) -> float:
     """Largest error of some queries [m]."""
-    plaza, localizer = Plaza(0), localizer_in(prior_map)
+    plaza, localizer = thin(0), localizer_in(prior_map)
     truth: list[Pose] = [geometry.yaw_transform(1.0 + k, (2.0 * k - 6, 2.0, 1.8)) for k in range(4)]
     answers = [localizer.localize(plaza.scan(T, seed=90 + k)) for k, T in enumerate(truth)]
     assert all(answer.localized for answer in answers)

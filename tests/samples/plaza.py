@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from segloc import geometry
@@ -25,6 +27,19 @@ class Plaza:
             turn = geometry.yaw_transform(rng.uniform(0, np.pi), (x, y, half[2]))
             self.parts.append(geometry.transform(turn, shell * half))
         self.points: Float64 = np.vstack(self.parts)
+
+    def thinned(self, every: int) -> Plaza:
+        """A copy that keeps one point in ``every``."""
+        return self._with(self.points[::every])
+
+    def cropped(self, radius_m: float) -> Plaza:
+        """A copy without the points beyond a distance from the middle."""
+        return self._with(self.points[np.hypot(*self.points[:, :2].T) < radius_m])
+
+    def _with(self, points: Float64) -> Plaza:
+        made = copy.copy(self)
+        made.points = points
+        return made
 
     def scan(self, T_world_sensor: Float64, *, posed: bool = True, seed: int = 0) -> Scan:
         """Every point within 45 m of the sensor, with 1 cm of noise."""
