@@ -174,9 +174,12 @@ def described(rows: Float32, walls_power: float) -> Float64:
     return np.array(found, np.float64).reshape(-1, len(FEATURES))
 
 
-def fitted(records: Records) -> tuple[Float64, dict[str, Promise]]:
-    """Fit the weights, and what a place promises."""
-    weights = fit(records)
+def fitted(records: Records, start: Float64 | None = None) -> tuple[Float64, dict[str, Promise]]:
+    """Fit the weights, and what a place promises.
+
+    The loss is convex: ``start`` changes the time, not the fit.
+    """
+    weights = fit(records, start)
     log_ratio = (records.features @ weights[:-1] - weights[-1])[records.poses]
     return weights, promises(records, log_ratio > 0.0)
 
