@@ -64,9 +64,14 @@ TESTS ?= tests
 SMOKE := tests/test_localizer.py tests/proposals/test_pose.py tests/proposals/test_matching.py tests/frontend/test_segmentation.py \
   tests/map/test_file.py tests/tools/io tests/tools/cli/test_help.py tests/descriptors tests/tools/datasets/ros
 
-test-lowest: ## Run the quick tests with Python 3.10 and the lowest versions of all dependencies.
+build/lowest/.ready: pyproject.toml .ci/lowest.py
 	mkdir -p build
 	$(LOWEST_PYTHON) .ci/lowest.py $(EXTRAS) test-tools > build/lowest.txt
+	$(LOWEST_PYTHON) -m venv build/lowest
+	build/lowest/bin/python $(INSTALL) -r build/lowest.txt
+	@touch $@
+
+test-lowest: build/lowest/.ready ## Run the quick tests with Python 3.10 and the lowest versions of all dependencies.
 	$(call test_installed,$(LOWEST_PYTHON),lowest,-c build/lowest.txt,-W default::DeprecationWarning)
 
 test-newest: ## Run the quick tests with Python 3.13 and the newest versions.
@@ -140,32 +145,37 @@ fuzz-native: $(VENV)/.dev ## Fuzz the kernels by libFuzzer, SECONDS=60 each.
 # by Python 3.12 it is for all later ones: it is audited, and tried on the newest too. The wheel of
 # the laboratory adds weights and verbs. A copy is packed, as the tool looks at every file around.
 WHEEL := build/wheel
+WHEEL_TOOLS := build/wheel-tools
 WHEEL_PYTHON ?= $(firstword $(wildcard /root/.pyenv/versions/3.12.*/bin/python) $(shell command -v python3.12) $(PYTHON))
 MOST_BYTES := 15000000
-wheel-check: ## Build, audit and try the wheels.
+wheel-check: $(WHEEL_TOOLS)/.ready ## Build, audit and try the wheels.
 	rm -rf $(WHEEL) && mkdir -p $(WHEEL)
-	$(WHEEL_PYTHON) -m venv $(WHEEL)/tools
-	$(WHEEL)/tools/bin/python $(INSTALL) build auditwheel abi3audit
 	mkdir $(WHEEL)/source && tar -c $(patsubst %,--exclude=./%,build .venv .git) . | tar -x -C $(WHEEL)/source
-	SKBUILD_BUILD_DIR=build/native/wheel $(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
-	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) lab >> $(WHEEL)/log
-	$(WHEEL)/tools/bin/python -m build --outdir $(WHEEL) plugins/segloc-stems >> $(WHEEL)/log
-	$(WHEEL)/tools/bin/auditwheel show $(WHEEL)/segloc-*.whl
-	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(WHEEL)/tools/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
-	! $(WHEEL)/tools/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "_lab|kitti00|benchmarks|(segmap|forest).safetensors"
+	SKBUILD_BUILD_DIR=build/native/wheel $(WHEEL_TOOLS)/bin/python -m build --outdir $(WHEEL) $(WHEEL)/source > $(WHEEL)/log || { tail -40 $(WHEEL)/log; exit 1; }
+	$(WHEEL_TOOLS)/bin/python -m build --no-isolation --outdir $(WHEEL) lab >> $(WHEEL)/log
+	$(WHEEL_TOOLS)/bin/python -m build --no-isolation --outdir $(WHEEL) plugins/segloc-stems >> $(WHEEL)/log
+	$(WHEEL_TOOLS)/bin/auditwheel show $(WHEEL)/segloc-*.whl
+	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(WHEEL_TOOLS)/bin/abi3audit --strict $(WHEEL)/segloc-*.whl ;; esac
+	! $(WHEEL_TOOLS)/bin/python -m zipfile -l $(WHEEL)/segloc-*.whl | grep -E "_lab|kitti00|benchmarks|(segmap|forest).safetensors"
 	test $$(stat -c %s $(WHEEL)/segloc-*.whl) -lt $(MOST_BYTES)
-	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv)
-	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest) ;; esac
+	$(call try_wheel,$(WHEEL_PYTHON),$(WHEEL)/venv,,segmap segmatch-esf nsm)
+	case $$(echo $(WHEEL)/segloc-*.whl) in *abi3*) $(call try_wheel,$(or $(NEWEST_PYTHON),$(WHEEL_PYTHON)),$(WHEEL)/newest,profile,segmap) ;; esac
 	ls -l $(WHEEL)/*.whl $(WHEEL)/*.tar.gz
 
-# Of a Python and a folder: the wheels in an environment of their own, first that of segloc alone.
+$(WHEEL_TOOLS)/.ready:
+	$(WHEEL_PYTHON) -m venv $(WHEEL_TOOLS)
+	$(WHEEL_TOOLS)/bin/python $(INSTALL) build auditwheel abi3audit "hatchling>=1.24"
+	@touch $@
+
+# Of a Python, a folder, and the methods that are tried: the wheels in an environment of their own,
+# first that of segloc alone (no methods: all that it has the weights of), then with the laboratory's.
 define try_wheel
 	$(1) -m venv $(2) && \
 	  $(2)/bin/python $(INSTALL) $(WHEEL)/segloc-*.whl && \
-	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py && \
+	  $(2)/bin/segloc --version && $(2)/bin/python tests/wheel_smoke.py $(3) && \
 	  $(2)/bin/python $(INSTALL) --no-deps $(WHEEL)/segloc_lab-*.whl $(WHEEL)/segloc_stems-*.whl && \
 	  $(2)/bin/segloc bench --help > /dev/null && $(2)/bin/segloc stems map --help > /dev/null && $(2)/bin/segloc evaluate roc --help > /dev/null && \
-	  $(2)/bin/python tests/wheel_smoke.py segmap segmatch-esf nsm
+	  $(2)/bin/python tests/wheel_smoke.py $(4)
 endef
 
 # The kernels compiled for aarch64, Windows and macOS, and run where an emulator is at hand.
