@@ -7,16 +7,26 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import geometry
+from .. import _native, geometry
 from ..errors import InvalidScan
 from ..frontend.gravity import AttitudeConfig, AttitudeEstimator
 from ..motion import times_fit
 from ..scan_odometry import ScanOdometry
 from ..system.checks import checked_pose
-from ..types import Pose, Scan
+from ..types import Float32, Pose, Scan
 
 _MAX_GAP_S = 2.0
 """After a longer gap between scans the motion is unknown."""
+_NEAR_M, _REACH_M = 0.4, 35.0
+"""Distance of a point from the scan before at which they match, and range of the points."""
+_MATCHED, _UNRELATED = 0.5, 0.2
+"""Share of points that match, and agreement (0 by chance, 1 if all do), from which scans belong
+together. Of scans 2 m apart in seven simulated worlds 1 % match by less than 0.67, and agree by
+less than 0.44; those of a robot that was carried away by 0.45 and 0.12 in the middle."""
+_ASIDE = np.array([(4.0, 0.0, 0.0), (-4.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, -4.0, 0.0)])
+_AROUND, _COMPARED, _FEW = 10_000, 400, 1_000
+"""Points of the scan before, and of the one that is compared with it; of fewer, points of one
+surface lie farther apart than such that match."""
 
 
 class LidarOdometry:
@@ -59,19 +69,23 @@ class LidarOdometry:
         self._odometry = ScanOdometry(max_range_m)
         self._T_odom_first: Pose | None = None  # pose of the sensor at the first registered scan
         self._T_odom_sensor: Pose | None = None
+        self._before: tuple[Scan, Pose] | None = None
         self._stamp = -math.inf
         self.losses, self.fault = 0, ""
 
     def add(self, scan: Scan, stamp: float) -> list[tuple[float, Pose]]:
         """Register a scan; return stamps [s] and poses T_odom_base (4, 4) that are now known.
 
-        Where odometry is lost it restarts with the scan, at the last pose: ``losses`` grows.
+        Where odometry is lost, or the scan does not match the one before, it restarts with the
+        scan, at the last pose: ``losses`` grows.
         """
         gap_s = stamp - self._stamp
         if self._T_odom_sensor is not None and not 0.0 < gap_s <= _MAX_GAP_S:
             self._restart(f"no scans for {gap_s:.1f} s" if gap_s > 0 else "the clock was set back")
         try:
             T, after_s = self._odometry.add(scan)
+            if self._before is not None and not _match(scan, T, *self._before):
+                raise InvalidScan("odometry is lost: consecutive scans do not match")
         except InvalidScan as error:
             self._restart(str(error))
             try:
@@ -79,7 +93,7 @@ class LidarOdometry:
             except InvalidScan:  # of no use for a beginning either
                 self._odometry = ScanOdometry(self._max_range_m)
                 return []
-        self._stamp = stamp
+        self._stamp, self._before = stamp, (scan, T)
         begin: list[tuple[float, Pose]] = []
         if self._T_odom_first is None:
             self._T_odom_first = self._first_pose(scan) @ geometry.inverse(T)
@@ -91,7 +105,8 @@ class LidarOdometry:
         return [(time, geometry.orthonormal(T_odom @ T_sensor_base)) for time, T_odom in poses]
 
     def _restart(self, why: str) -> None:
-        self._odometry, self._T_odom_first = ScanOdometry(self._max_range_m), None
+        self._odometry = ScanOdometry(self._max_range_m)
+        self._T_odom_first = self._before = None
         if self._T_odom_sensor is not None:
             self.losses, self.fault = self.losses + 1, why
 
@@ -104,3 +119,23 @@ class LidarOdometry:
         T_level_sensor = geometry.upright(level if found is None else found.up)
         T_level_base = T_level_sensor @ geometry.inverse(self.T_base_sensor)
         return geometry.inverse(geometry.levelled(T_level_base)) @ T_level_sensor
+
+
+def _match(scan: Scan, T_odom_scan: Pose, before: Scan, T_odom_before: Pose) -> bool:
+    """Return whether a scan matches the one before; KISS-ICP does not tell."""
+    around, points = _some(before, _AROUND), _some(scan, _COMPARED)
+    if len(around) < _FEW:
+        return True
+    index, T = _native.PointIndex(around, _NEAR_M), geometry.inverse(T_odom_before) @ T_odom_scan
+    share = float(index.overlap(points, T[None], _NEAR_M)[0])
+    if share >= _MATCHED:
+        return True
+    aside = [geometry.rigid(T[:3, :3], T[:3, 3] + step) for step in _ASIDE]
+    chance = float(index.overlap(points, np.stack(aside), _NEAR_M).mean())
+    return share - chance >= _UNRELATED * (1.0 - chance)
+
+
+def _some(scan: Scan, count: int) -> Float32:
+    """Return some of the points within reach."""
+    near = scan.points[np.linalg.norm(scan.points, axis=1) < _REACH_M]
+    return np.ascontiguousarray(near[:: 1 + len(near) // count], np.float32)

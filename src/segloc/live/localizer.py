@@ -107,6 +107,11 @@ class LiveLocalizer(Shell[LiveCore]):
         """Number of scans dropped: late, without odometry, or too many."""
         return self._core.dropped + self._core.skipped
 
+    @property
+    def jumps(self) -> int:
+        """Number of jumps of the odometry, and of losses of that from the scans."""
+        return self._core.jumps
+
     def close(self) -> None:
         """End the threads after their current work; drop waiting input."""
         self.end()

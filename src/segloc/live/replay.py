@@ -28,6 +28,7 @@ SUMMARY = {
     "rate": "argument",
     "scans": "scans used",
     "dropped": "scans not used",
+    "jumps": "jumps of the odometry, and losses of that from the scans",
     "travelled_m": "distance by the odometry",
     "localized_share": "share of the used scans that are localized",
     "states": "scans per state",
@@ -58,8 +59,8 @@ class Replay:
         By position of the newest scan: the last state before the next scan.
     latency_ms, query_ms : (S,), (Q,) float64
         Time from the arrival of a scan until it was used, and until its query was answered.
-    scans, dropped : int
-        Scans used, and dropped.
+    scans, dropped, jumps : int
+        Scans used, and dropped; jumps of the odometry, and losses of that from the scans.
     fault : DatasetError or None
         Fault of the scan at which the replay ended, before its end.
     """
@@ -69,6 +70,7 @@ class Replay:
     query_ms: Float64
     scans: int
     dropped: int
+    jumps: int
     fault: DatasetError | None = None
 
     @property
@@ -181,20 +183,20 @@ def play(
                 missed = _in_time(live, recording, clock, rate, poses, observed, progress)
             except DatasetError as error:
                 fault = error
-            scans, dropped = live.scans, live.dropped + missed
+            counts = live.scans, live.dropped + missed, live.jumps
     else:
         core = LiveCore(localizer, config, np.eye(4), lidar_odometry=alone, keeper=keeper)
         try:
             _in_turn(core, recording, clock, poses, observed, listener, progress)
         except DatasetError as error:
             fault = error
-        scans, dropped = core.scans, core.dropped
+        counts = core.scans, core.dropped, core.jumps
     if keeper is not None:
         keeper.flush()
     if fault is not None and not listener.states:
         raise fault
     times = np.array(listener.latency_ms), np.array(listener.query_ms)
-    return Replay(listener.states, *times, scans, dropped, fault)
+    return Replay(listener.states, *times, *counts, fault)
 
 
 def _in_turn(
@@ -310,6 +312,7 @@ def summary(
     facts: dict[str, Any] = {
         "scans": replay.scans,
         "dropped": replay.dropped,
+        "jumps": replay.jumps,
         "travelled_m": round(float(steps.sum()), 3),
         "localized_share": round(len(fixes) / max(1, len(kinds)), 4),
         "states": {kind.value: kinds.count(kind) for kind in Status},

@@ -579,7 +579,7 @@ def _loading(old: Localizer, new: Localizer, carried: Carried, T_new_old: Pose |
         if i == carried.first and T_new_old is not None and T_map_odom is not None:
             core.tracker.suppose(T_new_old @ T_map_odom)
         states[i], *_ = taken(core, stamp, carried.scan(i).points, None)
-    return Replay(states, np.empty(0), np.empty(0), len(states), 0)
+    return Replay(states, np.empty(0), np.empty(0), len(states), 0, 0)
 
 
 def _tilted(tilt: float, towards: float) -> Pose:

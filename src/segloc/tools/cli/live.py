@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from ...errors import ConfigError
-from ...system.text import number
+from ...system.text import number, quantity
 from . import options
-from .console import busy, note, progress, say, table
+from .console import note, progress, say, table
 
 if TYPE_CHECKING:
     from ...live import State
@@ -107,8 +107,11 @@ def live(
         played = play(localizer, recording, _settings(every, rate), rate, on_state, update, keeper)
     for line in [] if keeper is None else keeper.notes:
         note(line)
-    if recording.poses is None:
-        _note_odometry(recording, played)
+    if recording.poses is None and played.jumps:
+        note(
+            f"odometry from the scans was lost {quantity(played.jumps, 'times')}: record scans at "
+            "shorter distances, or pass poses"
+        )
     facts: dict[str, Any] = {
         "recording": recording.name,
         "map": options.map_name(prior_map),
@@ -121,23 +124,6 @@ def live(
     _show(facts, f"{recording.name} in {options.map_name(prior_map)}")
     if played.fault is not None:
         raise played.fault
-
-
-def _note_odometry(recording: Scans, played: Replay) -> None:
-    """Note that the odometry from the scans does not match them."""
-    import numpy as np
-
-    from ...types import Reposed
-    from ..doctor import pose_findings
-
-    states = [played.states[int(k)] for k in played.positions]
-    poses = [state.T_odom_base for state in states if state.T_odom_base is not None]
-    if len(poses) < len(recording):  # some scans were not used
-        return
-    with busy("Checking scans against poses"):
-        found = pose_findings(Reposed(recording, np.stack(poses)))
-    for finding in found:
-        note(f"odometry from the scans: {finding}")
 
 
 def _settings(every_m: float, rate: float) -> Any:
